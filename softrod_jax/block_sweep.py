@@ -1,0 +1,82 @@
+"""Direct solution of the block-bidiagonal systems that both methods along the rod produce.
+
+Each node has a = (h, q, omega), given at the base, and b = (N, M), given at the tip. For every
+interval k
+
+    left_k (da, db)_k + right_k (da, db)_{k+1} = -defect_k
+
+with da_0 = 0 and db_n = tip_slope da_n + tip_rhs. First every interval is solved, all at once,
+for what leaves it (a outwards, b inwards) in terms of what enters it:
+
+    da_{k+1} = T11 da_k + T12 db_{k+1} + t1        db_k = T21 da_k + T22 db_{k+1} + t2
+
+Then `db = S da + g` is swept from the tip to the base (S is the mechanical impedance of the
+outboard rod: the discrete Riccati equation), and the answer from the base to the tip.
+Unlike products of transfer matrices, no step of this grows with exp(lambda L).
+"""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+
+class Factors(NamedTuple):
+    """What the sweeps need, for any right-hand side."""
+
+    inverse: Float[Array, "m n n"]  # of [right_a, left_b]
+    T12: Float[Array, "m a 6"]
+    T22: Float[Array, "m 6 6"]
+    T11: Float[Array, "m a a"]
+    S: Float[Array, "m 6 a"]  # impedance seen at node k + 1
+    W: Float[Array, "m 6 6"]  # (I - S T12)^-1
+    V: Float[Array, "m 6 a"]  # W S T11: db_{k+1} by da_k
+
+
+def factorise(left: Float[Array, "m n n"], right: Float[Array, "m n n"], tip_slope) -> Factors:
+    """Prepare the sweeps. `tip_slope`: (6, a)."""
+    n = left.shape[-1]
+    a = n - 6
+    inverse = jnp.linalg.inv(jnp.concatenate([right[..., :a], left[..., a:]], -1))
+    T = -inverse @ jnp.concatenate([left[..., :a], right[..., a:]], -1)
+    T11, T12, T21, T22 = T[:, :a, :a], T[:, :a, a:], T[:, a:, :a], T[:, a:, a:]
+
+    def inwards(S, T):
+        T11, T12, T21, T22 = T
+        W = jnp.linalg.inv(jnp.eye(6) - S @ T12)
+        V = W @ (S @ T11)
+        return T21 + T22 @ V, (S, W, V)
+
+    _, (S, W, V) = jax.lax.scan(inwards, tip_slope, (T11, T12, T21, T22), reverse=True)
+    return Factors(inverse, T12, T22, T11, S, W, V)
+
+
+def solve_sweeps(
+    factors: Factors, defect: Float[Array, "m n"], tip_rhs: Float[Array, "6"]
+) -> Float[Array, "nodes n"]:
+    """(da, db) at every node; linear in (defect, tip_rhs)."""
+    a = factors.T11.shape[-1]
+    t = -jnp.einsum("kij,kj->ki", factors.inverse, defect)
+    t1, t2 = t[:, :a], t[:, a:]
+
+    def inwards(g, k):
+        S, W, T22, t1, t2 = k
+        V0 = W @ (S @ t1 + g)
+        return t2 + T22 @ V0, V0
+
+    g0, V0 = jax.lax.scan(
+        inwards, tip_rhs, (factors.S, factors.W, factors.T22, t1, t2), reverse=True
+    )
+
+    def outwards(da, k):
+        T11, T12, V, V0, t1 = k
+        db = V @ da + V0
+        da = T11 @ da + T12 @ db + t1
+        return da, jnp.concatenate([da, db])
+
+    base = jnp.zeros(a, defect.dtype)
+    _, rest = jax.lax.scan(
+        outwards, base, (factors.T11, factors.T12, factors.V, V0, t1)
+    )
+    return jnp.concatenate([jnp.concatenate([base, g0])[None], rest])

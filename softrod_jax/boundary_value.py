@@ -1,0 +1,203 @@
+"""The boundary value problem along the rod: base pose given, tip wrench given.
+
+`solve_boundary_value` is Newton's method on a method's defects and the tip condition. Its
+derivative, forward and reverse, comes from the implicit function theorem: one more linear solve
+with the Jacobian at the solution, never a differentiated iteration.
+"""
+
+from typing import Callable, NamedTuple, Optional
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float, Int
+
+from softrod_jax.block_sweep import factorise, solve_sweeps
+from softrod_jax.method import Defects, Method
+from softrod_jax.newton import NewtonOptions, newton
+from softrod_jax.results import RESULTS
+from softrod_jax.rod import Rod
+from softrod_jax.rod_ode import History, Layout, tip_condition
+
+
+class Guess(NamedTuple):
+    """Where Newton starts: states at the nodes, strains at the points."""
+
+    Y: Float[Array, "nodes n"]
+    strain: Float[Array, "points 6"]
+
+
+class Found(NamedTuple):
+    """What a search for the solution ends with.
+
+    - `correction`: Newton's last, relative to the scales of the problem.
+    - `contraction`: the largest ratio of corrections; see `newton.py`.
+    - `load_steps`: how many the search took; 1 where it went straight for the answer.
+    """
+
+    Y: Float[Array, "nodes n"]
+    strain: Float[Array, "points 6"]
+    result: Int[Array, ""]
+    iterations: Int[Array, ""]
+    correction: Float[Array, ""]
+    contraction: Float[Array, ""]
+    load_steps: Int[Array, ""]
+
+
+class Solved(NamedTuple):
+    """States `Y` at the nodes, `y` and `strain` at all points, and how they were found."""
+
+    Y: Float[Array, "nodes n"]
+    y: Float[Array, "points n"]
+    strain: Float[Array, "points 6"]
+    found: Found
+
+
+def search_directly(method, layout, options, rod, history, guess: Guess) -> Found:
+    """Newton's method from `guess`."""
+    equations = _Equations(method, layout, rod, history)
+    Y = equations.with_base(guess.Y)
+    end = newton(
+        equations.evaluate,
+        equations.factorise,
+        equations.solve,
+        Y,
+        Defects(None, None, guess.strain, None),
+        equations.scale(Y),
+        options,
+    )
+    one = jnp.ones((), jnp.int32)
+    return Found(
+        end.y, end.aux.strain, end.result, end.iterations, end.correction, end.contraction, one
+    )
+
+
+def solve_boundary_value(
+    method: Method,
+    layout: Layout,
+    options: NewtonOptions,
+    rod: Rod,
+    history: Optional[History],
+    guess: Guess,
+    search: Callable[..., Found] = search_directly,
+) -> Solved:
+    """Solve along the rod. Differentiable in `rod` and `history`.
+
+    A sample that fails keeps its last iterate, and its derivative is zero.
+    """
+    guess = jax.tree.map(jax.lax.stop_gradient, guess)
+    Y, found = _solve(
+        (rod, history), guess, method=method, layout=layout, options=options, search=search
+    )
+    found = jax.tree.map(jax.lax.stop_gradient, found)
+    at = method.defects(Y, rod, layout, history, found.strain)
+    # Where Newton failed, the strains may not exist: cut the derivative here, too.
+    ok = found.result == RESULTS.successful
+    cut = lambda x: jnp.where(ok, x, jax.lax.stop_gradient(x))
+    return Solved(Y, cut(at.y), cut(at.strain), found)
+
+
+@eqx.filter_custom_jvp
+def _solve(inputs, guess, *, method, layout, options, search):
+    found = search(method, layout, options, *inputs, guess)
+    return found.Y, found
+
+
+@_solve.def_jvp
+def _solve_jvp(primals, tangents, *, method, layout, options, search):
+    inputs, guess = primals
+    Y, found = _solve(
+        inputs, guess, method=method, layout=layout, options=options, search=search
+    )
+    strain, result = found.strain, found.result
+    ok = result == RESULTS.successful
+    dynamic, static = eqx.partition(inputs, eqx.is_inexact_array)
+    dot = jax.tree.map(
+        lambda t, x: jnp.zeros_like(x) if t is None and x is not None else t,
+        tangents[0],
+        dynamic,
+        is_leaf=lambda t: t is None,
+    )
+
+    def residual(dynamic):
+        rod, history = eqx.combine(dynamic, static)
+        equations = _Equations(method, layout, rod, history)
+        # The base pose may depend on the inputs, too.
+        F, _, _ = equations.evaluate(equations.with_base(Y), Defects(None, None, strain, None))
+        return F, equations.base()
+
+    (F, base), (F_dot, base_dot) = jax.jvp(residual, (dynamic,), (dot,))
+    rod, history = inputs
+    equations = _Equations(method, layout, rod, history)
+    at = method.defects(Y, rod, layout, history, strain)
+    factors = equations.factorise(Y, at, safe=ok)
+    F_dot = jax.tree.map(lambda x: jnp.where(ok, x, 0.0), F_dot)
+    Y_dot = equations.solve(factors, F_dot)
+    Y_dot = Y_dot.at[0, : layout.base_size].add(jnp.where(ok, base_dot, 0.0))
+    return (Y, found), (Y_dot, jax.tree.map(lambda x: None, found))
+
+
+class _Equations(NamedTuple):
+    """The equations, their Jacobian's factors and the correction, as Newton asks for them."""
+
+    method: Method
+    layout: Layout
+    rod: Rod
+    history: Optional[History]
+
+    def base(self):
+        """(h, q, omega) at the clamp (paper eq. 13)."""
+        h = self.rod.h_base if self.layout.attitude else None
+        q = w = jnp.zeros(3) if self.layout.dynamic else None
+        parts = [x for x in (h, q, w) if x is not None]
+        return jnp.concatenate(parts) if parts else jnp.zeros(0)
+
+    def with_base(self, Y):
+        return Y.at[0, : self.layout.base_size].set(self.base())
+
+    def evaluate(self, Y, at: Defects):
+        at = self.method.defects(Y, self.rod, self.layout, self.history, at.strain)
+        # The residual at the tip, in the sense db = S da + g of the sweep.
+        tip = self._tip(Y)
+        return (at.defect, tip.wrench - Y[-1, -6:]), at, at.solvable
+
+    def factorise(self, Y, at: Defects, safe=None):
+        left, right = self.method.blocks(at, self.rod, self.layout, self.history)
+        slope = self._tip(Y).by_base_part
+        units = self.scale(Y)
+        a = self.layout.base_size
+        left, right = (B * units / units[:, None] for B in (left, right))
+        slope = slope * units[:a] / units[a:, None]
+        if safe is not None:
+            # A failed sample has no derivative: a solvable system with nothing in it.
+            eye = jnp.eye(self.layout.size)
+            left, right = jnp.where(safe, left, -eye), jnp.where(safe, right, eye)
+            slope = jnp.where(safe, slope, 0.0)
+        return factorise(left, right, slope), units
+
+    def solve(self, factors, F):
+        (factors, units), (defect, tip) = factors, F
+        return solve_sweeps(factors, defect / units, tip / units[-6:]) * units
+
+    def scale(self, Y):
+        """Sizes of the state's components: a bent rod's, and those of the answer so far."""
+        rod, c0 = self.rod, None if self.history is None else self.history.c0
+        EI = jnp.max(rod.K_bt[:2])
+        if c0 is not None and rod.B_bt is not None:
+            EI = EI + c0 * jnp.max(rod.B_bt[:2])
+        one = jnp.ones(3)
+        N, M = jnp.max(jnp.abs(Y[:, -6:-3])), jnp.max(jnp.abs(Y[:, -3:]))
+        return self.layout.join(
+            jnp.ones(4) if self.layout.attitude else None,
+            c0 * rod.L * one if self.layout.dynamic else None,
+            c0 * one if self.layout.dynamic else None,
+            (EI / rod.L**2 + N) * one,
+            (EI / rod.L + M) * one,
+        )
+
+    def _tip(self, Y):
+        history = self.history
+        if history is not None:
+            history = History(history.c0, history.strain[-1], history.velocity[-1])
+        return tip_condition(Y[-1], self.rod, self.layout, history)
+

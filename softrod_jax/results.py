@@ -1,0 +1,74 @@
+"""Result codes: what a solve says about its answer, one integer a sample.
+
+`RESULTS.successful` is 0. Every other code means that the numbers beside it are the last
+iterate, not a solution; the message says what to do about it.
+"""
+
+from enum import IntEnum
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+
+class RESULTS(IntEnum):
+    """Codes of `StaticSolution.result` and `Trajectory.result`."""
+
+    successful = 0
+    no_equilibrium = 1
+    diverged = 2
+    max_iterations = 3
+    bad_input = 4
+
+
+_MESSAGES = {
+    RESULTS.successful: "successful",
+    RESULTS.no_equilibrium: (
+        "no smooth equilibrium: along a stretch of the rod the tendons' pull shrinks a tendon "
+        "path to nothing; lower the tensions, or raise young_modulus"
+    ),
+    RESULTS.diverged: (
+        "Newton's method found no descent along the rod; take a smaller dt, or raise the loads "
+        "in smaller steps"
+    ),
+    RESULTS.max_iterations: (
+        "Newton's method did not converge in the iterations allowed; raise max_iterations, or "
+        "take a smaller dt"
+    ),
+    RESULTS.bad_input: (
+        "an input is not finite, or a tension is negative; a tendon can only pull"
+    ),
+}
+
+
+class SolveError(RuntimeError):
+    """Raised at the outermost call when a solve fails and `throw=True`."""
+
+
+def result_message(code) -> str:
+    """The message of a result code ("successful" for 0)."""
+    return _MESSAGES[RESULTS(int(code))]
+
+
+def raise_unless_successful(result, values, who: str):
+    """`values`, or an error if any sample of `result` failed.
+
+    Raises `SolveError` where the codes are concrete. Under `jit` the check is compiled in and
+    raises when the program runs.
+    """
+    if isinstance(result, jax.core.Tracer):
+        for code in RESULTS:
+            if code != RESULTS.successful:
+                message = f"{who}: {_MESSAGES[code]}. Pass throw=False for a code per sample."
+                values = eqx.error_if(values, jnp.any(result == code), message)
+        return values
+    codes = np.asarray(result)
+    if np.any(codes != 0):
+        failed = codes[codes != 0]
+        which = "" if codes.ndim == 0 else f" {failed.size} of {codes.size} samples failed;"
+        raise SolveError(
+            f"{who}:{which} {result_message(failed.flat[0])}. "
+            "Pass throw=False for a code per sample."
+        )
+    return values

@@ -1,0 +1,129 @@
+"""Rotations and rigid motions: unit quaternions (w, x, y, z) and exponentials.
+
+Small angles: coefficients such as sin(x)/x switch to their Taylor series, and the branch that
+is not taken sees a safe argument ("double where"), so that no derivative is NaN at zero.
+"""
+
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+Vector = Float[Array, "*batch 3"]
+Quaternion = Float[Array, "*batch 4"]
+Matrix = Float[Array, "*batch 3 3"]
+
+# Below this squared angle the series to angle^8 is exact to rounding in float64.
+_SMALL = 1e-2
+
+
+def hat(a: Vector) -> Matrix:
+    """The matrix of `a x`: hat(a) @ b = a x b (paper, eq. 2)."""
+    x, y, z = a[..., 0], a[..., 1], a[..., 2]
+    o = jnp.zeros_like(x)
+    return jnp.stack(
+        [jnp.stack([o, -z, y], -1), jnp.stack([z, o, -x], -1), jnp.stack([-y, x, o], -1)], -2
+    )
+
+
+def cross(a: Vector, b: Vector) -> Vector:
+    """a x b, in components (jnp.cross compiles to gathers)."""
+    ax, ay, az = a[..., 0], a[..., 1], a[..., 2]
+    bx, by, bz = b[..., 0], b[..., 1], b[..., 2]
+    return jnp.stack([ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx], -1)
+
+
+def quaternion_product(a: Quaternion, b: Quaternion) -> Quaternion:
+    """a o b: first b, then a."""
+    aw, ax, ay, az = (a[..., i] for i in range(4))
+    bw, bx, by, bz = (b[..., i] for i in range(4))
+    return jnp.stack(
+        [
+            aw * bw - ax * bx - ay * by - az * bz,
+            aw * bx + ax * bw + ay * bz - az * by,
+            aw * by - ax * bz + ay * bw + az * bx,
+            aw * bz + ax * by - ay * bx + az * bw,
+        ],
+        -1,
+    )
+
+
+def rotation_matrix(h: Quaternion) -> Matrix:
+    """R(h), body to base; `h` need not be normalised."""
+    w, x, y, z = (h[..., i] for i in range(4))
+    k = 2 / (w * w + x * x + y * y + z * z)
+    return jnp.stack(
+        [
+            jnp.stack([1 - k * (y * y + z * z), k * (x * y - w * z), k * (x * z + w * y)], -1),
+            jnp.stack([k * (x * y + w * z), 1 - k * (x * x + z * z), k * (y * z - w * x)], -1),
+            jnp.stack([k * (x * z - w * y), k * (y * z + w * x), 1 - k * (x * x + y * y)], -1),
+        ],
+        -2,
+    )
+
+
+def to_body(h: Quaternion, a: Vector) -> Vector:
+    """R(h)^T a: a vector of the base frame, seen from the body."""
+    w, r = h[..., :1], h[..., 1:]
+    k = 2 / (w * w + jnp.sum(r * r, -1, keepdims=True))
+    c = cross(r, a)
+    return a - k * (w * c - cross(r, c))
+
+
+def to_base(h: Quaternion, a: Vector) -> Vector:
+    """R(h) a: a vector of the body frame, seen from the base."""
+    w, r = h[..., :1], h[..., 1:]
+    k = 2 / (w * w + jnp.sum(r * r, -1, keepdims=True))
+    c = cross(r, a)
+    return a + k * (w * c + cross(r, c))
+
+
+def _series(x2, large, taylor):
+    """`large(x)` where x^2 = x2 is not small, the polynomial `taylor` in x2 where it is."""
+    small = x2 < _SMALL
+    safe = jnp.where(small, 1.0, x2)
+    poly = jnp.zeros_like(x2)
+    for c in reversed(taylor):
+        poly = poly * x2 + c
+    return jnp.where(small, poly, large(jnp.sqrt(safe), safe))
+
+
+def _sinc(x2):
+    """sin(x)/x."""
+    return _series(
+        x2, lambda x, s: jnp.sin(x) / x, (1.0, -1 / 6, 1 / 120, -1 / 5040, 1 / 362880)
+    )
+
+
+def _cosc(x2):
+    """(1 - cos x)/x^2."""
+    return _series(
+        x2,
+        lambda x, s: (1 - jnp.cos(x)) / s,
+        (1 / 2, -1 / 24, 1 / 720, -1 / 40320, 1 / 3628800),
+    )
+
+
+def _sincc(x2):
+    """(x - sin x)/x^3."""
+    return _series(
+        x2,
+        lambda x, s: (x - jnp.sin(x)) / (s * x),
+        (1 / 6, -1 / 120, 1 / 5040, -1 / 362880, 1 / 39916800),
+    )
+
+
+def quaternion_exp(a: Vector) -> Quaternion:
+    """The quaternion of the rotation vector `a` [rad]."""
+    half2 = jnp.sum(a * a, -1) / 4
+    cos = 1 - half2 * _cosc(half2)
+    return jnp.concatenate([cos[..., None], 0.5 * _sinc(half2)[..., None] * a], -1)
+
+
+def rigid_motion_exp(v: Vector, u: Vector):
+    """exp of the twist (v, u): displacement V(u) v and quaternion exp(u).
+
+    V is the left Jacobian of SO(3): for constant strains (v, u) this is the exact pose of a
+    rod of unit length, at any number of turns.
+    """
+    x2 = jnp.sum(u * u, -1)[..., None]
+    c = cross(u, v)
+    return v + _cosc(x2) * c + _sincc(x2) * cross(u, c), quaternion_exp(u)

@@ -1,0 +1,137 @@
+"""The scene: everything that is known about a robot before any load is applied.
+
+A scene is a pytree of float64 arrays: every number in it can be traced, batched and
+differentiated. A part that is `None` is not in the scene, and nothing of it is computed.
+SI units. The rod lies along z of the base frame when it is straight.
+"""
+
+from typing import Optional
+
+import equinox as eqx
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from softrod_jax.sections import Circle, Section
+
+Scalar = Float[Array, ""]
+
+
+class Tendons(eqx.Module):
+    """Frictionless tendons, parallel to the rod, that end at the tip.
+
+    - `offsets` [m], (tendons, 2): x and y of each tendon in the section.
+    """
+
+    offsets: Float[Array, "tendons 2"] = eqx.field(converter=jnp.asarray)
+
+    @property
+    def count(self) -> int:
+        return self.offsets.shape[0]
+
+    def routing(self, s):
+        """Tendon positions r_i [m] and slopes r_i,s [-] in the section at arc length `s`.
+
+        Both (tendons, 3). The slope is `None` for a straight tendon: its terms vanish.
+        """
+        del s
+        r = jnp.concatenate([self.offsets, jnp.zeros_like(self.offsets[:, :1])], axis=1)
+        return r, None
+
+
+class Chambers(eqx.Module):
+    """Air chambers that run along the whole rod, capped at the tip.
+
+    - `areas` [m^2], (chambers,): the cross-section of each.
+    - `offsets` [m], (chambers, 2): x and y of each in the section.
+    """
+
+    areas: Float[Array, "chambers"] = eqx.field(converter=jnp.asarray)
+    offsets: Float[Array, "chambers 2"] = eqx.field(converter=jnp.asarray)
+
+    @property
+    def count(self) -> int:
+        return self.areas.shape[0]
+
+
+class Payload(eqx.Module):
+    """A point mass [kg] on the axis at the tip: weight (if there is gravity) and inertia."""
+
+    mass: Scalar = eqx.field(converter=jnp.asarray)
+
+
+class TipLoad(eqx.Module):
+    """Dead loads at the tip, in the base frame: `force` [N] and `moment` [N m], (3,) each."""
+
+    force: Optional[Float[Array, "3"]] = None
+    moment: Optional[Float[Array, "3"]] = None
+
+
+class Scene(eqx.Module):
+    """A clamped rod with its actuators and its surroundings.
+
+    - `length` [m], `section`, `young_modulus` [Pa], `poisson_ratio` [-], `density` [kg/m^3].
+    - `bending_damping` B_bt [N m^2 s] and `shear_damping` B_se [N s]: Kelvin-Voigt, a number
+      or (3,) for x, y, z of the body frame.
+    - `gravity` [m/s^2], (3,), base frame.
+    - `drag_coefficient` C [kg/m^2]: square-law drag per unit length, a number or (3,).
+    - `shear_correction` [-] scales GA; 1 as in Roshanfar et al. (2024).
+    - `rest_curvature` u* [1/m] and `rest_stretch` v* [-], (3,): the strains of the unloaded
+      rod; straight (0, 0, 0) and (0, 0, 1) where `None`.
+    - `base_position` [m], (3,), and `base_quaternion` (w, x, y, z): pose of the clamp.
+    """
+
+    length: Scalar
+    section: Section
+    young_modulus: Scalar
+    poisson_ratio: Scalar
+    density: Scalar
+    bending_damping: Optional[Float[Array, "..."]] = None
+    shear_damping: Optional[Float[Array, "..."]] = None
+    gravity: Optional[Float[Array, "3"]] = None
+    drag_coefficient: Optional[Float[Array, "..."]] = None
+    tendons: Optional[Tendons] = None
+    chambers: Optional[Chambers] = None
+    payload: Optional[Payload] = None
+    tip_load: Optional[TipLoad] = None
+    shear_correction: Optional[Scalar] = None
+    rest_curvature: Optional[Float[Array, "3"]] = None
+    rest_stretch: Optional[Float[Array, "3"]] = None
+    base_position: Optional[Float[Array, "3"]] = None
+    base_quaternion: Optional[Float[Array, "4"]] = None
+
+    @property
+    def shear_modulus(self) -> Scalar:
+        """G = E / (2 (1 + nu)) [Pa]."""
+        return self.young_modulus / (2 * (1 + self.poisson_ratio))
+
+
+def as_arrays(scene: Scene) -> Scene:
+    """The scene with every number an array, so that no Python float is compiled in."""
+    import jax
+
+    return jax.tree.map(jnp.asarray, scene)
+
+
+def hybrid_robot(length: float = 0.1, gravity=None) -> Scene:
+    """The robot of Roshanfar et al., Actuators 2024, 13(1):8, Table 1.
+
+    Three tendons 4 mm off the axis at 0, 120 and 240 degrees, one central chamber of 3 mm
+    diameter, a solid circle of radius 6 mm. The table gives no length: 0.1 m is an
+    assumption. `gravity` [m/s^2], (3,), is absent unless given.
+    """
+    angle = jnp.deg2rad(jnp.array([0.0, 120.0, 240.0]))
+    radius = 6e-3
+    return as_arrays(
+        Scene(
+            length=length,
+            section=Circle(radius),
+            young_modulus=0.05e6,
+            poisson_ratio=0.49,
+            density=1070.0,
+            bending_damping=1e-6,
+            gravity=gravity,
+            drag_coefficient=0.03,
+            tendons=Tendons(4e-3 * jnp.stack([jnp.cos(angle), jnp.sin(angle)], axis=1)),
+            chambers=Chambers(jnp.array([jnp.pi * 1.5e-3**2]), jnp.zeros((1, 2))),
+        )
+    )

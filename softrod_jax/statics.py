@@ -1,0 +1,191 @@
+"""Static equilibrium of a scene under constant actuation."""
+
+from typing import NamedTuple, Optional
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float, Int
+
+from softrod_jax.boundary_value import Found, Guess, search_directly, solve_boundary_value
+from softrod_jax.collocation import Collocation
+from softrod_jax.inputs import actuation, valid_actuation
+from softrod_jax.method import Method
+from softrod_jax.newton import NewtonOptions
+from softrod_jax.precision import require_float64
+from softrod_jax.results import RESULTS, raise_unless_successful
+from softrod_jax.rod import Rod, make_rod
+from softrod_jax.rod_ode import Layout
+from softrod_jax.rotations import quaternion_exp, quaternion_product
+from softrod_jax.scene import Scene, as_arrays
+
+# Continuation gives up when the next load step is a smaller part of the whole than this.
+_SMALLEST_LOAD_STEP = 1e-4
+_MAX_LOAD_STEPS = 200
+# Corrections that fall at least this fast, undamped, from one load to the next: the answer is
+# on the branch that the last one was on.
+_SAFE_CONTRACTION = 0.5
+
+
+class StaticSolution(eqx.Module):
+    """A static equilibrium.
+
+    - `tip_position` [m], (3,); `tip_quaternion` (w, x, y, z), (4,).
+    - `arc_lengths` [m], (nodes,); `positions` [m], (nodes, 3); `quaternions`, (nodes, 4).
+    - `strains` (v, u), (nodes, 6): v [-], u [1/m], body frame.
+    - `wrenches` (N, M), (nodes, 6): *total* force [N] and moment [N m], body frame.
+    - `result`: a code of `RESULTS`; 0 is success. Else the numbers are the last iterate.
+    - `stats`: "iterations", "residual" (Newton's last correction, relative to the size of the
+      state), "load_steps" (1: reached at once; more: by continuation in the load).
+    """
+
+    tip_position: Float[Array, "3"]
+    tip_quaternion: Float[Array, "4"]
+    arc_lengths: Float[Array, "nodes"]
+    positions: Float[Array, "nodes 3"]
+    quaternions: Float[Array, "nodes 4"]
+    strains: Float[Array, "nodes 6"]
+    wrenches: Float[Array, "nodes 6"]
+    result: Int[Array, ""]
+    stats: dict
+    point_strains: Float[Array, "points 6"]
+    method: Method = eqx.field(static=True)
+
+
+def solve_static(
+    scene: Scene,
+    tensions: Optional[Float[Array, "tendons"]] = None,
+    pressures: Optional[Float[Array, "chambers"]] = None,
+    *,
+    method: Method = Collocation(),
+    newton: NewtonOptions = NewtonOptions(),
+    throw: bool = True,
+) -> StaticSolution:
+    """The equilibrium reached by raising all loads together from zero.
+
+    - `tensions` [N], (tendons,), and `pressures` [Pa], (chambers,): `None` leaves that
+      actuator out.
+    - `method`: how to solve along the rod; `Collocation` or `Shooting`.
+    - `throw`: raise `SolveError` if there is no answer; else see `StaticSolution.result`.
+
+    Works under `jit`, `vmap`, `grad` and `jacfwd`. Raises `ValueError` for inputs of the wrong
+    shape, negative tensions, and without float64.
+    """
+    require_float64("solve_static")
+    scene = as_arrays(scene)
+    tensions, pressures = actuation("solve_static", scene, tensions, pressures, ndim=1)
+    solution = _solve_static(scene, tensions, pressures, method, newton)
+    if throw:
+        solution = raise_unless_successful(solution.result, solution, "solve_static")
+    return solution
+
+
+@eqx.filter_jit
+def _solve_static(scene, tensions, pressures, method, options):
+    rod = make_rod(scene, tensions, pressures, dynamic=False)
+    layout = Layout(attitude=rod.has_dead_load, dynamic=False)
+    rod, valid = valid_actuation(rod)
+    guess = unloaded_guess(method, layout, rod)
+    solved = solve_boundary_value(method, layout, options, rod, None, guess, search_by_load)
+    result = jnp.where(valid, solved.found.result, RESULTS.bad_input).astype(jnp.int32)
+    positions, quaternions = method.shape(
+        solved.strain, rod.L, _base_position(scene), rod.h_base
+    )
+    return StaticSolution(
+        tip_position=positions[-1],
+        tip_quaternion=quaternions[-1],
+        arc_lengths=method.nodes(method.points(rod.L)),
+        positions=positions,
+        quaternions=quaternions,
+        strains=method.nodes(solved.strain),
+        wrenches=solved.Y[:, -6:],
+        result=result,
+        stats={
+            "iterations": solved.found.iterations,
+            "residual": solved.found.correction,
+            "load_steps": solved.found.load_steps,
+        },
+        point_strains=solved.strain,
+        method=method,
+    )
+
+
+def _base_position(scene):
+    return jnp.zeros(3) if scene.base_position is None else scene.base_position
+
+
+def unloaded_guess(method: Method, layout: Layout, rod: Rod) -> Guess:
+    """The rod without any load: strains v*, u*, no wrench, at rest."""
+    s = method.points(rod.L)
+    strain = jnp.broadcast_to(jnp.concatenate([rod.v_star, rod.u_star]), (s.shape[0], 6))
+    nodes = method.nodes(s)
+    h = None
+    if layout.attitude:
+        turned = quaternion_exp(nodes[:, None] * rod.u_star)
+        h = quaternion_product(jnp.broadcast_to(rod.h_base, turned.shape), turned)
+    rest = jnp.zeros((nodes.shape[0], layout.size - 4 * layout.attitude))
+    return Guess(layout.join(h, rest), strain)
+
+
+class _Load(NamedTuple):
+    """Continuation: solved at `load`; `before` and `before_load` are one step earlier."""
+
+    load: Array
+    step: Array
+    found: Found
+    before: Guess
+    before_load: Array
+    tries: Array
+    running: Array
+
+
+def search_by_load(method, layout, options, rod, history, guess: Guess) -> Found:
+    """Raise all loads together from zero to one, in as few steps as is safe.
+
+    A step is taken when Newton's corrections fall fast and undamped from the last answer (by a
+    secant), which keeps the solution on its branch. Ordinary scenes take one.
+    """
+
+    def attempt(state):
+        load = jnp.minimum(1.0, state.load + state.step)
+        ahead = (load - state.load) / jnp.maximum(state.load - state.before_load, 1e-12)
+        ahead = jnp.where(state.found.load_steps > 1, ahead, 0.0)
+        last = Guess(state.found.Y, state.found.strain)
+        start = jax.tree.map(lambda a, b: a + ahead * (a - b), last, state.before)
+        new = search_directly(method, layout, options, scaled_loads(rod, load), history, start)
+        solved = new.result == RESULTS.successful
+        ok = solved & (new.contraction < _SAFE_CONTRACTION)
+        step = jnp.where(ok, 2 * state.step, state.step / 4)
+        tries = state.tries + 1
+        stuck = (~ok & (step < _SMALLEST_LOAD_STEP)) | (tries >= _MAX_LOAD_STEPS)
+        failure = jnp.where(solved, RESULTS.diverged, new.result).astype(jnp.int32)
+        iterations = state.found.iterations + new.iterations
+        load_steps = state.found.load_steps + ok
+        pick = lambda a, b: jax.tree.map(lambda x, y: jnp.where(ok, x, y), a, b)
+        finished = ok & (load >= 1.0)
+        return _Load(
+            load=jnp.where(ok, load, state.load),
+            step=step,
+            found=pick(new, state.found)._replace(
+                result=jnp.where(finished, new.result, failure),
+                iterations=iterations,
+                load_steps=load_steps,
+            ),
+            before=pick(last, state.before),
+            before_load=jnp.where(ok, state.load, state.before_load),
+            tries=tries,
+            running=~stuck & ~finished,
+        )
+
+    zero, none = jnp.zeros((), jnp.int32), jnp.zeros(())
+    unloaded = Found(guess.Y, guess.strain, zero, zero, none, none, zero)
+    start = _Load(none, jnp.ones(()), unloaded, guess, none, zero, jnp.array(True))
+    return jax.lax.while_loop(lambda state: state.running, attempt, start).found
+
+
+def scaled_loads(rod: Rod, factor) -> Rod:
+    """The rod with tensions, pressures, gravity and tip loads times `factor`."""
+    names = ("tau", "n_ch", "m_ch", "gravity", "weight", "F_tip", "M_tip")
+    present = [name for name in names if getattr(rod, name) is not None]
+    pick = lambda r: [getattr(r, name) for name in present]
+    return eqx.tree_at(pick, rod, [factor * x for x in pick(rod)])
