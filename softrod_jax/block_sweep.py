@@ -52,6 +52,28 @@ def factorise(left: Float[Array, "m n n"], right: Float[Array, "m n n"], tip_slo
     return Factors(inverse, T12, T22, T11, S, W, V)
 
 
+def has_no_conjugate_point(factors: Factors):
+    """Whether a static equilibrium under dead loads is stable.
+
+    It is if and only if the second variation has no conjugate point: swept from the free tip,
+    no disturbance of the attitude vanishes before the clamp (Jacobi's condition). Disturbances
+    of two nodes are related by (I - T12 S)^-1 T11; one vanishes in between where I - T12 S has
+    a negative eigenvalue. Its eigenvalues are real (it is similar to a symmetric matrix), so
+    all are positive if and only if all their elementary symmetric polynomials are. The sign of
+    the determinant alone would miss a column that buckles in two planes at once.
+    """
+    if factors.T11.shape[-1] == 0:
+        return jnp.array(True)  # nothing depends on the attitude
+    G = jnp.eye(factors.T11.shape[-1]) - factors.T12 @ factors.S
+    # Newton's identities: from the traces of powers to the elementary polynomials.
+    power, traces, e = G, [], [1.0]
+    for k in range(1, G.shape[-1] + 1):
+        traces.append(jnp.trace(power, axis1=-2, axis2=-1))
+        e.append(sum((-1) ** i * e[k - 1 - i] * traces[i] for i in range(k)) / k)
+        power = power @ G
+    return jnp.all(jnp.stack(e[1:]) > 0)
+
+
 def solve_sweeps(
     factors: Factors, defect: Float[Array, "m n"], tip_rhs: Float[Array, "6"]
 ) -> Float[Array, "nodes n"]:

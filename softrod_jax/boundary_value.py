@@ -10,9 +10,9 @@ from typing import Callable, NamedTuple, Optional
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Bool, Float, Int
 
-from softrod_jax.block_sweep import factorise, solve_sweeps
+from softrod_jax.block_sweep import factorise, has_no_conjugate_point, solve_sweeps
 from softrod_jax.method import Defects, Method
 from softrod_jax.newton import NewtonOptions, newton
 from softrod_jax.results import RESULTS
@@ -28,20 +28,20 @@ class Guess(NamedTuple):
 
 
 class Found(NamedTuple):
-    """What a search for the solution ends with.
+    """How a search for the solution ended.
 
     - `correction`: Newton's last, relative to the scales of the problem.
     - `contraction`: the largest ratio of corrections; see `newton.py`.
     - `load_steps`: how many the search took; 1 where it went straight for the answer.
+    - `stable`: in statics, whether the equilibrium is stable; see `block_sweep.py`.
     """
 
-    Y: Float[Array, "nodes n"]
-    strain: Float[Array, "points 6"]
     result: Int[Array, ""]
     iterations: Int[Array, ""]
     correction: Float[Array, ""]
     contraction: Float[Array, ""]
     load_steps: Int[Array, ""]
+    stable: Bool[Array, ""]
 
 
 class Solved(NamedTuple):
@@ -53,7 +53,7 @@ class Solved(NamedTuple):
     found: Found
 
 
-def search_directly(method, layout, options, rod, history, guess: Guess) -> Found:
+def search_directly(method, layout, options, rod, history, guess: Guess) -> Solved:
     """Newton's method from `guess`."""
     equations = _Equations(method, layout, rod, history)
     Y = equations.with_base(guess.Y)
@@ -62,14 +62,14 @@ def search_directly(method, layout, options, rod, history, guess: Guess) -> Foun
         equations.factorise,
         equations.solve,
         Y,
-        Defects(None, None, guess.strain, None),
+        guess.strain,
         equations.scale(Y),
         options,
     )
     one = jnp.ones((), jnp.int32)
-    return Found(
-        end.y, end.aux.strain, end.result, end.iterations, end.correction, end.contraction, one
-    )
+    stable = jnp.array(True) if layout.dynamic else has_no_conjugate_point(end.factors[0])
+    found = Found(end.result, end.iterations, end.correction, end.contraction, one, stable)
+    return Solved(end.y, end.aux.y, end.aux.strain, found)
 
 
 def solve_boundary_value(
@@ -79,38 +79,29 @@ def solve_boundary_value(
     rod: Rod,
     history: Optional[History],
     guess: Guess,
-    search: Callable[..., Found] = search_directly,
+    search: Callable[..., Solved] = search_directly,
 ) -> Solved:
     """Solve along the rod. Differentiable in `rod` and `history`.
 
     A sample that fails keeps its last iterate, and its derivative is zero.
     """
-    guess = jax.tree.map(jax.lax.stop_gradient, guess)
-    Y, found = _solve(
+    return _solve(
         (rod, history), guess, method=method, layout=layout, options=options, search=search
     )
-    found = jax.tree.map(jax.lax.stop_gradient, found)
-    at = method.defects(Y, rod, layout, history, found.strain)
-    # Where Newton failed, the strains may not exist: cut the derivative here, too.
-    ok = found.result == RESULTS.successful
-    cut = lambda x: jnp.where(ok, x, jax.lax.stop_gradient(x))
-    return Solved(Y, cut(at.y), cut(at.strain), found)
 
 
 @eqx.filter_custom_jvp
-def _solve(inputs, guess, *, method, layout, options, search):
-    found = search(method, layout, options, *inputs, guess)
-    return found.Y, found
+def _solve(inputs, guess, *, method, layout, options, search) -> Solved:
+    return search(method, layout, options, *inputs, guess)
 
 
 @_solve.def_jvp
 def _solve_jvp(primals, tangents, *, method, layout, options, search):
     inputs, guess = primals
-    Y, found = _solve(
+    solved = _solve(
         inputs, guess, method=method, layout=layout, options=options, search=search
     )
-    strain, result = found.strain, found.result
-    ok = result == RESULTS.successful
+    ok = solved.found.result == RESULTS.successful
     dynamic, static = eqx.partition(inputs, eqx.is_inexact_array)
     dot = jax.tree.map(
         lambda t, x: jnp.zeros_like(x) if t is None and x is not None else t,
@@ -119,22 +110,24 @@ def _solve_jvp(primals, tangents, *, method, layout, options, search):
         is_leaf=lambda t: t is None,
     )
 
-    def residual(dynamic):
-        rod, history = eqx.combine(dynamic, static)
-        equations = _Equations(method, layout, rod, history)
+    def equations_at(dynamic, Y):
+        equations = _Equations(method, layout, *eqx.combine(dynamic, static))
         # The base pose may depend on the inputs, too.
-        F, _, _ = equations.evaluate(equations.with_base(Y), Defects(None, None, strain, None))
-        return F, equations.base()
+        F, at, _ = equations.evaluate(equations.with_base(Y), solved.strain)
+        return F, (at.y, at.strain), equations.base()
 
-    (F, base), (F_dot, base_dot) = jax.jvp(residual, (dynamic,), (dot,))
-    rod, history = inputs
-    equations = _Equations(method, layout, rod, history)
-    at = method.defects(Y, rod, layout, history, strain)
-    factors = equations.factorise(Y, at, safe=ok)
-    F_dot = jax.tree.map(lambda x: jnp.where(ok, x, 0.0), F_dot)
-    Y_dot = equations.solve(factors, F_dot)
-    Y_dot = Y_dot.at[0, : layout.base_size].add(jnp.where(ok, base_dot, 0.0))
-    return (Y, found), (Y_dot, jax.tree.map(lambda x: None, found))
+    _, along = jax.linearize(equations_at, dynamic, solved.Y)
+    F_dot, _, base_dot = along(dot, jnp.zeros_like(solved.Y))
+    equations = _Equations(method, layout, *inputs)
+    at = Defects(None, solved.y, solved.strain, None)
+    factors = equations.factorise(solved.Y, at, safe=ok)
+    # A failed sample has no derivative: zero keeps the rest of its batch clean.
+    cut = lambda tree: jax.tree.map(lambda x: jnp.where(ok, x, 0.0), tree)
+    Y_dot = equations.solve(factors, cut(F_dot))
+    Y_dot = Y_dot.at[0, : layout.base_size].add(cut(base_dot))
+    _, (y_dot, strain_dot), _ = along(dot, Y_dot)
+    none = jax.tree.map(lambda x: None, solved.found)
+    return solved, Solved(Y_dot, cut(y_dot), cut(strain_dot), none)
 
 
 class _Equations(NamedTuple):
@@ -155,8 +148,8 @@ class _Equations(NamedTuple):
     def with_base(self, Y):
         return Y.at[0, : self.layout.base_size].set(self.base())
 
-    def evaluate(self, Y, at: Defects):
-        at = self.method.defects(Y, self.rod, self.layout, self.history, at.strain)
+    def evaluate(self, Y, strain_guess):
+        at = self.method.defects(Y, self.rod, self.layout, self.history, strain_guess)
         # The residual at the tip, in the sense db = S da + g of the sweep.
         tip = self._tip(Y)
         return (at.defect, tip.wrench - Y[-1, -6:]), at, at.solvable

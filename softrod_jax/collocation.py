@@ -77,6 +77,10 @@ class Collocation(Method):
         """The entries that belong to nodes."""
         return points[:: self._stride]
 
+    def outputs(self, points: Float[Array, "points *rest"]) -> Float[Array, "nodes *rest"]:
+        """The nodes."""
+        return self.nodes(points)
+
     def shape(self, strain, length, base_position, base_quaternion):
         """Positions (nodes, 3) and quaternions (nodes, 4), at the order of the method."""
         formula = self._formula

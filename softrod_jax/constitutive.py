@@ -17,13 +17,16 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from softrod_jax.rod import Rod
-from softrod_jax.rotations import cross, hat
+from softrod_jax.rotations import hat
 
 Strain = Float[Array, "*points 6"]
 _MAX_ITERATIONS = 40
+# Size of the last step, relative; convergence is quadratic, so the error is far below it.
+_CONVERGED = 1e-9
 
 
 class LocalProblem(NamedTuple):
@@ -72,24 +75,47 @@ def compliance(problem: LocalProblem, strain: Strain):
     """d(v, u)/d(N, M) at the solution: (*points, 6, 6), symmetric positive definite."""
     if problem.tau is None:
         return jnp.broadcast_to(jnp.diag(1 / problem.k), (*strain.shape[:-1], 6, 6))
-    return _inverse_6x6(*_hessian(problem, strain))
+    return _inverse(_hessian(problem, strain))
+
+
+def _path_maps(problem: LocalProblem):
+    """B_i with l_i = B_i x + r_i,s, (tendons, 3, 6): v + u x r_i is linear in x = (v, u)."""
+    r = problem.r
+    return jnp.concatenate([jnp.broadcast_to(jnp.eye(3), (*r.shape, 3)), -hat(r)], -1)
 
 
 def _paths(problem: LocalProblem, x):
     """l_i = v + u x r_i + r_i,s, (*points, tendons, 3), and |l_i|."""
-    v, u = x[..., None, :3], x[..., None, 3:]
-    l = v + cross(u, problem.r)
+    l = jnp.sum(_path_maps(problem) * x[..., None, None, :], -1)
     if problem.r_s is not None:
         l = l + problem.r_s
     # The floor keeps derivatives finite on the kink; no converged answer sits there.
     return l, jnp.sqrt(jnp.sum(l * l, -1) + 1e-30)
 
 
-def _gradient(problem: LocalProblem, x):
+def _pulls(problem: LocalProblem, x):
+    """d|l_i|/dx, (*points, tendons, 6), and |l_i|."""
     l, length = _paths(problem, x)
-    pull = problem.tau[:, None] * l / length[..., None]
-    act = jnp.concatenate([pull, cross(problem.r, pull)], -1)
-    return problem.k * x + jnp.sum(act, -2) - problem.b
+    t = l / length[..., None]
+    return jnp.sum(_path_maps(problem) * t[..., None], -2), length
+
+
+def _gradient(problem: LocalProblem, x):
+    pull, _ = _pulls(problem, x)
+    return problem.k * x + jnp.sum(problem.tau[:, None] * pull, -2) - problem.b
+
+
+def _hessian(problem: LocalProblem, x):
+    """(*points, 6, 6)."""
+    pull, length = _pulls(problem, x)
+    B = _path_maps(problem)
+    BB = jnp.sum(B[:, :, :, None] * B[:, :, None, :], -3)
+    H = jnp.diag(problem.k)
+    for i in range(problem.r.shape[0]):
+        stiffness = (problem.tau[i] / length[..., i])[..., None, None]
+        across = BB[i] - pull[..., i, :, None] * pull[..., i, None, :]
+        H = H + stiffness * across
+    return H
 
 
 def _energy(problem: LocalProblem, x):
@@ -98,48 +124,25 @@ def _energy(problem: LocalProblem, x):
     return quadratic + jnp.sum(problem.tau * length, -1)
 
 
-def _hessian(problem: LocalProblem, x):
-    """The 3x3 blocks vv, vu and uu of the Hessian."""
-    l, length = _paths(problem, x)
-    t = l / length[..., None]
-    P = (jnp.eye(3) - t[..., :, None] * t[..., None, :]) * (problem.tau / length)[..., None, None]
-    r = hat(problem.r)
-    Pr = P @ r
-    eye = jnp.eye(3)
-    vv = jnp.sum(P, -3) + problem.k[:3] * eye
-    vu = -jnp.sum(Pr, -3)
-    uu = -jnp.sum(r @ Pr, -3) + problem.k[3:] * eye
-    return vv, vu, uu
+def _inverse(H):
+    """Inverse of symmetric positive definite matrices by the sweep operator.
+
+    n rank-one updates of the whole array: a few vector operations, where a batched LAPACK call
+    spends its time on overhead. Such matrices need no pivoting.
+    """
+    n = H.shape[-1]
+    for k in range(n):
+        at = np.arange(n) == k
+        row = jnp.where(at, 1.0, H[..., k : k + 1, :])
+        column = jnp.where(at[:, None], 1.0, H[..., :, k : k + 1])
+        update = column * row / H[..., k : k + 1, k : k + 1]
+        on_cross, at_pivot = at | at[:, None], at & at[:, None]
+        H = jnp.where(on_cross, jnp.where(at_pivot, -update, update), H - update)
+    return -H
 
 
-def _inverse_3x3(A):
-    """By cross products of the columns: no LAPACK call for nine numbers."""
-    a, b, c = A[..., :, 0], A[..., :, 1], A[..., :, 2]
-    bc = cross(b, c)
-    det = jnp.sum(a * bc, -1)[..., None, None]
-    return jnp.stack([bc, cross(c, a), cross(a, b)], -2) / det
-
-
-def _inverse_6x6(vv, vu, uu):
-    """Inverse of a symmetric positive definite 6x6 by its Schur complement."""
-    vv_inv = _inverse_3x3(vv)
-    W = vv_inv @ vu
-    S_inv = _inverse_3x3(uu - jnp.swapaxes(vu, -1, -2) @ W)
-    WS = W @ S_inv
-    top = jnp.concatenate([vv_inv + WS @ jnp.swapaxes(W, -1, -2), -WS], -1)
-    return jnp.concatenate([top, jnp.concatenate([-jnp.swapaxes(WS, -1, -2), S_inv], -1)], -2)
-
-
-def _newton_step(problem, x, rhs):
-    """H(x)^-1 rhs."""
-    vv, vu, uu = _hessian(problem, x)
-    vv_inv = _inverse_3x3(vv)
-    W = vv_inv @ vu
-    S_inv = _inverse_3x3(uu - jnp.swapaxes(vu, -1, -2) @ W)
-    a, b = rhs[..., :3], rhs[..., 3:]
-    y = jnp.einsum("...ij,...j->...i", S_inv, b - jnp.einsum("...ji,...j->...i", W, a))
-    z = jnp.einsum("...ij,...j->...i", vv_inv, a) - jnp.einsum("...ij,...j->...i", W, y)
-    return jnp.concatenate([z, y], -1)
+# Step lengths that are tried at once; the longest that lowers the energy enough is taken.
+_STEP_LENGTHS = np.array([1.0, 0.25, 0.0625, 0.015625, 1e-3])
 
 
 @jax.custom_jvp
@@ -147,43 +150,28 @@ def _minimise(problem: LocalProblem, guess):
     """Damped Newton from `guess`: strains and, per point, whether they solve the problem."""
     # Strains that matter: v against 1, u against the curvature at which u r compares with 1.
     scale = jnp.concatenate([jnp.ones(3), jnp.ones(3) / (1e-30 + jnp.max(jnp.abs(problem.r)))])
-    guess = jnp.broadcast_to(guess, problem.b.shape)
 
     def cond(state):
-        x, step, size, i = state
-        return jnp.any(size > 1e-9) & (i < _MAX_ITERATIONS)
+        _, size, i = state
+        return jnp.any(size > _CONVERGED) & (i < _MAX_ITERATIONS)
 
     def body(state):
-        x, step, _, i = state
-        slope = jnp.sum(step * _gradient(problem, x), -1)
-        E0 = _energy(problem, x)
+        x, _, i = state
+        g = _gradient(problem, x)
+        step = -jnp.sum(_inverse(_hessian(problem, x)) * g[..., None, :], -1)
+        size = jnp.max(jnp.abs(step) / scale, -1)
+        slope = jnp.sum(step * g, -1)
+        trial = x + _STEP_LENGTHS.reshape(-1, *[1] * x.ndim) * step
+        drop = _energy(problem, trial) - _energy(problem, x)
+        wanted = 1e-4 * _STEP_LENGTHS.reshape(-1, *[1] * slope.ndim) * slope
+        # Near the solution energies differ by rounding only: take the full step there.
+        good = (drop <= wanted) | (size < 1e-3)
+        a = jnp.max(jnp.where(good, _STEP_LENGTHS.reshape(-1, *[1] * slope.ndim), 1e-4), 0)
+        return x + a[..., None] * step, size, i + 1
 
-        def too_long(carry):
-            a, j = carry
-            # Energies differ by rounding only near the solution: accept there.
-            worse = _energy(problem, x + a[..., None] * step) > (
-                E0 + 1e-4 * a * slope + 1e-13 * jnp.abs(E0)
-            )
-            return worse & (a > 1e-6), worse
-
-        def shrink(carry):
-            a, j = carry
-            bad, _ = too_long(carry)
-            return jnp.where(bad, 0.5 * a, a), j + 1
-
-        a, _ = jax.lax.while_loop(
-            lambda c: jnp.any(too_long(c)[0]), shrink, (jnp.ones(x.shape[:-1]), 0)
-        )
-        x = x + a[..., None] * step
-        step = -_newton_step(problem, x, _gradient(problem, x))
-        return x, step, jnp.max(jnp.abs(step) / scale, -1), i + 1
-
-    step = -_newton_step(problem, guess, _gradient(problem, guess))
-    size = jnp.max(jnp.abs(step) / scale, -1)
-    x, step, size, _ = jax.lax.while_loop(cond, body, (guess, step, size, 0))
-    # Convergence is quadratic: the pending step brings the error from 1e-9 to rounding.
-    converged = size <= 1e-9
-    return jnp.where(converged[..., None], x + step, x), converged
+    start = jnp.broadcast_to(guess, problem.b.shape)
+    x, size, _ = jax.lax.while_loop(cond, body, (start, jnp.full(start.shape[:-1], jnp.inf), 0))
+    return x, size <= _CONVERGED
 
 
 @_minimise.defjvp
@@ -194,5 +182,5 @@ def _minimise_jvp(primals, tangents):
     # A point without a solution has no derivative: zero keeps the rest of the batch clean.
     safe = jnp.where(converged[..., None], x, jnp.array([0.0, 0, 1, 0, 0, 0]))
     g_dot = jnp.where(converged[..., None], g_dot, 0.0)
-    x_dot = -_newton_step(problem, safe, g_dot)
-    return (x, converged), (x_dot, jnp.zeros(converged.shape, dtype=jax.dtypes.float0))
+    x_dot = -jnp.sum(_inverse(_hessian(problem, safe)) * g_dot[..., None, :], -1)
+    return (x, converged), (x_dot, np.zeros(converged.shape, dtype=jax.dtypes.float0))

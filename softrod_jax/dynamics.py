@@ -28,8 +28,8 @@ class Trajectory(eqx.Module):
 
     - `ts` [s], (steps + 1,); `tip_positions` [m], (steps + 1, 3).
     - `tip_velocities` [m/s], (steps + 1, 3), base frame.
-    - `positions` [m], (steps + 1, nodes, 3); `quaternions` (w, x, y, z), (steps + 1, nodes, 4).
-    - `strains` (v, u) and `velocities` (q, omega), (steps + 1, nodes, 6), body frame.
+    - `positions` [m], (steps + 1, outputs, 3); `quaternions` (w, x, y, z), (steps + 1, outputs, 4).
+    - `strains` (v, u) and `velocities` (q, omega), (steps + 1, outputs, 6), body frame.
     - `result`: a code of `RESULTS`; 0 is success. `failed_step`: the first step k that has no
       solution, or -1; from there on the rod is held where it was.
     - `stats`: per step, (steps,): "iterations" (evaluations along the rod) and "residual"
@@ -39,10 +39,10 @@ class Trajectory(eqx.Module):
     ts: Float[Array, "times"]
     tip_positions: Float[Array, "times 3"]
     tip_velocities: Float[Array, "times 3"]
-    positions: Float[Array, "times nodes 3"]
-    quaternions: Float[Array, "times nodes 4"]
-    strains: Float[Array, "times nodes 6"]
-    velocities: Float[Array, "times nodes 6"]
+    positions: Float[Array, "times outputs 3"]
+    quaternions: Float[Array, "times outputs 4"]
+    strains: Float[Array, "times outputs 6"]
+    velocities: Float[Array, "times outputs 6"]
     result: Int[Array, ""]
     failed_step: Int[Array, ""]
     stats: dict
@@ -175,8 +175,8 @@ def _simulate(scene, dt, tensions, pressures, strain, steps, scheme, method, opt
         hold = lambda new, old: jax.tree.map(lambda a, b: jnp.where(ok, a, b), new, old)
         memory = hold(new_memory, memory)
         after = after._replace(guess=hold(after.guess, running.guess))
-        nodes = jax.tree.map(method.nodes, memory[0])
-        out = (memory[0].strain, nodes.velocity, after.result, after.iterations, after.correction)
+        seen = method.outputs(memory[0].velocity)
+        out = (memory[0].strain, seen, after.result, after.iterations, after.correction)
         return (memory, after), out
 
     zero = jnp.zeros((), jnp.int32)
@@ -200,7 +200,7 @@ def _simulate(scene, dt, tensions, pressures, strain, steps, scheme, method, opt
         tip_velocities=to_base(quaternions[:, -1], velocities[:, -1, :3]),
         positions=positions,
         quaternions=quaternions,
-        strains=jax.vmap(method.nodes)(strains),
+        strains=jax.vmap(method.outputs)(strains),
         velocities=velocities,
         result=results[-1],
         failed_step=jnp.where(jnp.any(failed), jnp.argmax(failed), -1),

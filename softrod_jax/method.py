@@ -41,8 +41,12 @@ class Method(eqx.Module):
         """The entries of a points array that belong to nodes."""
 
     @abc.abstractmethod
+    def outputs(self, points: Float[Array, "points *rest"]) -> Float[Array, "outputs *rest"]:
+        """The entries of a points array that a user gets to see; both ends are among them."""
+
+    @abc.abstractmethod
     def shape(self, strain: Float[Array, "points 6"], length, base_position, base_quaternion):
-        """Positions (nodes, 3) and quaternions (nodes, 4) from the strains at the points."""
+        """Positions (outputs, 3) and quaternions (outputs, 4) from the strains at the points."""
 
     @abc.abstractmethod
     def defects(

@@ -24,7 +24,7 @@ class NewtonOptions(eqx.Module):
     - `smallest_damping`: below it the answer is `RESULTS.diverged`.
     """
 
-    tolerance: float = eqx.field(static=True, default=1e-9)
+    tolerance: float = eqx.field(static=True, default=1e-10)
     max_iterations: int = eqx.field(static=True, default=60)
     smallest_damping: float = eqx.field(static=True, default=1e-3)
 
@@ -36,11 +36,15 @@ _ROUNDING = 1e-6
 
 
 class NewtonResult(NamedTuple):
-    """`contraction`: the largest ratio of corrections; below 1/2 throughout and undamped means
-    that the start was well inside the basin of this solution."""
+    """`factors`: the last that were made, at the solution or near it.
+
+    `contraction`: the largest ratio of corrections; below 1/2 throughout and undamped means
+    that the start was well inside the basin of this solution.
+    """
 
     y: Array
     aux: Any
+    factors: Any
     result: Int[Array, ""]
     iterations: Int[Array, ""]
     correction: Float[Array, ""]
@@ -61,12 +65,12 @@ class _State(NamedTuple):
 
 
 def newton(
-    evaluate: Callable, factorise: Callable, solve: Callable, y, aux, scale, options
+    evaluate: Callable, factorise: Callable, solve: Callable, y, strain, scale, options
 ) -> NewtonResult:
-    """Solve `evaluate(y, aux) = (F, aux, valid)` for F = 0 from `y`.
+    """Solve `evaluate(y, strain) = (F, aux, valid)` for F = 0 from `y`.
 
-    - `evaluate(y, aux)`: equations F (a pytree), what comes along with them, and whether they
-      could be evaluated at all.
+    - `evaluate(y, strain)`: equations F (a pytree), what comes along with them (with the field
+      `strain`, the guess for the next evaluation), and whether they could be evaluated at all.
     - `factorise(y, aux)`: factors of the Jacobian there.
     - `solve(factors, F)`: the correction -J^-1 F, of y's shape.
     - `scale`: of y's shape or broadcast to it; corrections are measured by max |dy / scale|.
@@ -83,7 +87,7 @@ def newton(
         # The first pass has no correction yet: it evaluates the start and factorises there.
         first = state.iterations == 0
         y = state.y + state.damping * state.step
-        F, aux, valid = evaluate(y, state.aux)
+        F, aux, valid = evaluate(y, state.aux.strain)
         step = solve(state.factors, F)
         size = size_of(step)
         full = state.damping == 1.0
@@ -132,12 +136,12 @@ def newton(
     like = lambda f, *args: jax.tree.map(
         lambda x: jnp.zeros(x.shape, x.dtype), jax.eval_shape(f, *args)
     )
-    _, aux_like, _ = like(evaluate, y, aux)
-    aux_start = eqx.tree_at(lambda a: a.strain, aux_like, aux.strain)
+    _, aux, _ = like(evaluate, y, strain)
+    aux = aux._replace(strain=strain)
     start = _State(
         y=y,
-        aux=aux_start,
-        factors=like(factorise, y, aux_start),
+        aux=aux,
+        factors=like(factorise, y, aux),
         step=jnp.zeros_like(y),
         size=jnp.array(jnp.inf),
         damping=jnp.ones(()),
@@ -148,5 +152,5 @@ def newton(
     )
     end = jax.lax.while_loop(cond, body, start)
     return NewtonResult(
-        end.y, end.aux, end.result, end.iterations, end.size, end.contraction
+        end.y, end.aux, end.factors, end.result, end.iterations, end.size, end.contraction
     )

@@ -8,6 +8,7 @@ SI units. The rod lies along z of the base frame when it is straight.
 from typing import Optional
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
@@ -106,10 +107,8 @@ class Scene(eqx.Module):
 
 
 def as_arrays(scene: Scene) -> Scene:
-    """The scene with every number an array, so that no Python float is compiled in."""
-    import jax
-
-    return jax.tree.map(jnp.asarray, scene)
+    """The scene with every number a float array, so that none is compiled in as a constant."""
+    return jax.tree.map(lambda x: jnp.asarray(x, dtype=float), scene)
 
 
 def hybrid_robot(length: float = 0.1, gravity=None) -> Scene:

@@ -85,9 +85,7 @@ def _scene(document: dict, file: str) -> Scene:
             **rod,
             tendons=Tendons(_stack(tendons, "offset")) if tendons else None,
             chambers=(
-                Chambers(_stack(chambers, "area"), _stack(chambers, "offset"))
-                if chambers
-                else None
+                Chambers(_stack(chambers, "area"), _stack(chambers, "offset")) if chambers else None
             ),
             payload=None if mass is None else Payload(mass),
             tip_load=TipLoad(**load) if has_load else None,

@@ -7,7 +7,13 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
-from softrod_jax.boundary_value import Found, Guess, search_directly, solve_boundary_value
+from softrod_jax.boundary_value import (
+    Found,
+    Guess,
+    Solved,
+    search_directly,
+    solve_boundary_value,
+)
 from softrod_jax.collocation import Collocation
 from softrod_jax.inputs import actuation, valid_actuation
 from softrod_jax.method import Method
@@ -31,21 +37,23 @@ class StaticSolution(eqx.Module):
     """A static equilibrium.
 
     - `tip_position` [m], (3,); `tip_quaternion` (w, x, y, z), (4,).
-    - `arc_lengths` [m], (nodes,); `positions` [m], (nodes, 3); `quaternions`, (nodes, 4).
-    - `strains` (v, u), (nodes, 6): v [-], u [1/m], body frame.
-    - `wrenches` (N, M), (nodes, 6): *total* force [N] and moment [N m], body frame.
+    - `arc_lengths` [m], (outputs,); `positions` [m], (outputs, 3); `quaternions`, (outputs, 4).
+      Where along the rod is up to the method: its nodes, or the ends of its steps.
+    - `strains` (v, u), (outputs, 6): v [-], u [1/m], body frame.
+    - `wrenches` (N, M), (outputs, 6): *total* force [N] and moment [N m], body frame.
     - `result`: a code of `RESULTS`; 0 is success. Else the numbers are the last iterate.
     - `stats`: "iterations", "residual" (Newton's last correction, relative to the size of the
-      state), "load_steps" (1: reached at once; more: by continuation in the load).
+      state), "load_steps" (1: reached at once; more: by continuation in the load), "stable"
+      (false: a disturbance, however small, takes the rod to another equilibrium).
     """
 
     tip_position: Float[Array, "3"]
     tip_quaternion: Float[Array, "4"]
-    arc_lengths: Float[Array, "nodes"]
-    positions: Float[Array, "nodes 3"]
-    quaternions: Float[Array, "nodes 4"]
-    strains: Float[Array, "nodes 6"]
-    wrenches: Float[Array, "nodes 6"]
+    arc_lengths: Float[Array, "outputs"]
+    positions: Float[Array, "outputs 3"]
+    quaternions: Float[Array, "outputs 4"]
+    strains: Float[Array, "outputs 6"]
+    wrenches: Float[Array, "outputs 6"]
     result: Int[Array, ""]
     stats: dict
     point_strains: Float[Array, "points 6"]
@@ -94,16 +102,17 @@ def _solve_static(scene, tensions, pressures, method, options):
     return StaticSolution(
         tip_position=positions[-1],
         tip_quaternion=quaternions[-1],
-        arc_lengths=method.nodes(method.points(rod.L)),
+        arc_lengths=method.outputs(method.points(rod.L)),
         positions=positions,
         quaternions=quaternions,
-        strains=method.nodes(solved.strain),
-        wrenches=solved.Y[:, -6:],
+        strains=method.outputs(solved.strain),
+        wrenches=method.outputs(solved.y)[:, -6:],
         result=result,
         stats={
             "iterations": solved.found.iterations,
             "residual": solved.found.correction,
             "load_steps": solved.found.load_steps,
+            "stable": solved.found.stable,
         },
         point_strains=solved.strain,
         method=method,
@@ -132,14 +141,14 @@ class _Load(NamedTuple):
 
     load: Array
     step: Array
-    found: Found
+    solved: Solved
     before: Guess
     before_load: Array
     tries: Array
     running: Array
 
 
-def search_by_load(method, layout, options, rod, history, guess: Guess) -> Found:
+def search_by_load(method, layout, options, rod, history, guess: Guess) -> Solved:
     """Raise all loads together from zero to one, in as few steps as is safe.
 
     A step is taken when Newton's corrections fall fast and undamped from the last answer (by a
@@ -149,28 +158,35 @@ def search_by_load(method, layout, options, rod, history, guess: Guess) -> Found
     def attempt(state):
         load = jnp.minimum(1.0, state.load + state.step)
         ahead = (load - state.load) / jnp.maximum(state.load - state.before_load, 1e-12)
-        ahead = jnp.where(state.found.load_steps > 1, ahead, 0.0)
-        last = Guess(state.found.Y, state.found.strain)
+        past = state.solved.found
+        ahead = jnp.where(past.load_steps > 1, ahead, 0.0)
+        last = Guess(state.solved.Y, state.solved.strain)
         start = jax.tree.map(lambda a, b: a + ahead * (a - b), last, state.before)
         new = search_directly(method, layout, options, scaled_loads(rod, load), history, start)
-        solved = new.result == RESULTS.successful
-        ok = solved & (new.contraction < _SAFE_CONTRACTION)
+        found = new.found
+        converged = found.result == RESULTS.successful
+        # An unstable answer means that a singular point was stepped over: the path, with its
+        # imperfections, passes by its side. Only where the path itself is unstable (a column
+        # that is straight for symmetry) do no smaller steps help.
+        smallest = state.step / 4 < _SMALLEST_LOAD_STEP
+        passes = found.stable | ~past.stable | smallest
+        ok = converged & (found.contraction < _SAFE_CONTRACTION) & passes
         step = jnp.where(ok, 2 * state.step, state.step / 4)
         tries = state.tries + 1
         stuck = (~ok & (step < _SMALLEST_LOAD_STEP)) | (tries >= _MAX_LOAD_STEPS)
-        failure = jnp.where(solved, RESULTS.diverged, new.result).astype(jnp.int32)
-        iterations = state.found.iterations + new.iterations
-        load_steps = state.found.load_steps + ok
-        pick = lambda a, b: jax.tree.map(lambda x, y: jnp.where(ok, x, y), a, b)
         finished = ok & (load >= 1.0)
+        failure = jnp.where(converged, RESULTS.diverged, found.result).astype(jnp.int32)
+        pick = lambda a, b: jax.tree.map(lambda x, y: jnp.where(ok, x, y), a, b)
+        found = found._replace(
+            result=jnp.where(finished, found.result, failure),
+            stable=jnp.where(ok, found.stable, past.stable),
+            iterations=past.iterations + found.iterations,
+            load_steps=past.load_steps + ok,
+        )
         return _Load(
             load=jnp.where(ok, load, state.load),
             step=step,
-            found=pick(new, state.found)._replace(
-                result=jnp.where(finished, new.result, failure),
-                iterations=iterations,
-                load_steps=load_steps,
-            ),
+            solved=pick(new, state.solved)._replace(found=found),
             before=pick(last, state.before),
             before_load=jnp.where(ok, state.load, state.before_load),
             tries=tries,
@@ -178,9 +194,10 @@ def search_by_load(method, layout, options, rod, history, guess: Guess) -> Found
         )
 
     zero, none = jnp.zeros((), jnp.int32), jnp.zeros(())
-    unloaded = Found(guess.Y, guess.strain, zero, zero, none, none, zero)
+    y = jnp.zeros((guess.strain.shape[0], layout.size))
+    unloaded = Solved(guess.Y, y, guess.strain, Found(zero, zero, none, none, zero, jnp.array(True)))
     start = _Load(none, jnp.ones(()), unloaded, guess, none, zero, jnp.array(True))
-    return jax.lax.while_loop(lambda state: state.running, attempt, start).found
+    return jax.lax.while_loop(lambda state: state.running, attempt, start).solved
 
 
 def scaled_loads(rod: Rod, factor) -> Rod:

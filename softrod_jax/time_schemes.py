@@ -56,7 +56,7 @@ class BDFAlpha(TimeScheme):
     Raises `ValueError` unless -0.5 <= alpha <= 0.
     """
 
-    alpha: float = eqx.field(static=True, default=-0.2)
+    alpha: float = eqx.field(static=True, default=-0.45)
     stages: int = eqx.field(static=True, default=1, init=False)
     order: int = eqx.field(static=True, default=2, init=False)
 

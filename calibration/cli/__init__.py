@@ -1,0 +1,1 @@
+"""The command line `softrod`. It sits above both packages; nothing imports it."""

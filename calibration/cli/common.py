@@ -1,0 +1,139 @@
+"""What the commands share: setting JAX up, numbers, actuation and JSON."""
+
+import argparse
+import json
+import math
+import os
+import sys
+from pathlib import Path
+
+
+class UsageError(ValueError):
+    """A command line that cannot be: the message names the option, its value and the remedy."""
+
+
+def prepare_jax() -> None:
+    """float64, and compiled programs kept on disk between runs.
+
+    The cache lies in JAX_COMPILATION_CACHE_DIR if set, else in the user's cache directory. A
+    directory that cannot be written means no cache and is no error.
+    """
+    import jax
+
+    jax.config.update("jax_enable_x64", True)
+    directory = cache_directory()
+    try:
+        directory.mkdir(parents=True, exist_ok=True)
+    except OSError:
+        return
+    if not os.access(directory, os.W_OK):
+        return
+    jax.config.update("jax_compilation_cache_dir", str(directory))
+    jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.2)
+
+
+def cache_directory() -> Path:
+    """Where compiled programs are kept."""
+    chosen = os.environ.get("JAX_COMPILATION_CACHE_DIR")
+    if chosen:
+        return Path(chosen)
+    user = os.environ.get("XDG_CACHE_HOME") or os.path.join("~", ".cache")
+    return Path(os.path.expanduser(user)) / "softrod_jax"
+
+
+def number(text: str) -> float:
+    """A finite number, for argparse."""
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if not math.isfinite(value):
+        raise argparse.ArgumentTypeError(f"{text!r} is not a finite number")
+    return value
+
+
+def positive(text: str) -> float:
+    """A number above 0, for argparse."""
+    value = number(text)
+    if value <= 0:
+        raise argparse.ArgumentTypeError(f"{text} is not above 0")
+    return value
+
+
+def add_actuation(parser: argparse.ArgumentParser) -> None:
+    """The options --tension and --pressure."""
+    parser.add_argument(
+        "--tension",
+        type=number,
+        nargs="+",
+        metavar="T",
+        help="tension of each tendon [N], at least 0; without it the tendons are slack",
+    )
+    parser.add_argument(
+        "--pressure",
+        type=number,
+        nargs="+",
+        metavar="P",
+        help="gauge pressure of each chamber [Pa]; without it there is none",
+    )
+
+
+def actuation(args, scene):
+    """The tensions and pressures of the command line as arrays (n,), None where not given.
+
+    Raises `UsageError` unless there is one per tendon and chamber, and for negative tensions.
+    """
+    tendons = 0 if scene.tendons is None else scene.tendons.count
+    chambers = 0 if scene.chambers is None else scene.chambers.count
+    tensions = _one_each("--tension", args.tension, tendons, "tendon")
+    pressures = _one_each("--pressure", args.pressure, chambers, "chamber")
+    if tensions is not None and tensions.min() < 0:
+        raise UsageError(
+            f"--tension {' '.join(f'{t:g}' for t in args.tension)}: a tendon can only pull; "
+            "every tension is at least 0"
+        )
+    return tensions, pressures
+
+
+def _one_each(option, values, count, part):
+    import numpy as np
+
+    if values is None:
+        return None
+    if len(values) != count:
+        raise UsageError(
+            f"{option}: {len(values)} given, and the scene has {count} {part}{'s'[: count != 1]}; "
+            f"give one number per {part}"
+            if count
+            else f"{option}: the scene has no {part}s; leave it out, or add [[{part}s]] to the file"
+        )
+    return np.array(values)
+
+
+def check_writable(path: str) -> None:
+    """Raise `UsageError` if a file `path` cannot be written, before hours of computing."""
+    target = Path(path)
+    if target.is_dir():
+        raise UsageError(f"--out {path}: is a directory; give the name of a file")
+    if not target.parent.is_dir():
+        raise UsageError(f"--out {path}: the directory {target.parent} does not exist")
+    if not os.access(target if target.exists() else target.parent, os.W_OK):
+        raise UsageError(f"--out {path}: no permission to write there")
+
+
+def note(message: str) -> None:
+    """Something that the user should know, on stderr."""
+    print(f"softrod: note: {message}", file=sys.stderr)
+
+
+def print_json(content: dict) -> None:
+    """`content` on stdout; numbers that are not finite become null, which JSON can carry."""
+    print(json.dumps(_finite(content)))
+
+
+def _finite(value):
+    if isinstance(value, dict):
+        return {k: _finite(v) for k, v in value.items()}
+    if isinstance(value, list):
+        return [_finite(v) for v in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value

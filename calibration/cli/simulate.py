@@ -1,0 +1,181 @@
+"""The motion from rest under inputs from a log, or constant from t = 0.
+
+Inputs of a log are interpolated linearly in time; the step that ends at t takes their value at
+t, because the time stepping is implicit: it balances the forces at the end of a step. Time 0 is
+the log's first sample.
+"""
+
+import math
+import sys
+
+from calibration.cli.common import (
+    UsageError,
+    actuation,
+    add_actuation,
+    check_writable,
+    note,
+    positive,
+    prepare_jax,
+    print_json,
+)
+
+# More is a typing error, and would fill the memory before it is noticed.
+_MOST_STEPS = 10_000_000
+
+
+def add_arguments(parser) -> None:
+    parser.add_argument("scene", metavar="SCENE.toml", help="the scene file")
+    parser.add_argument(
+        "--log",
+        metavar="INPUT.csv",
+        help="inputs from this log: linear in time, a step takes the value at its end",
+    )
+    add_actuation(parser)
+    parser.add_argument("--dt", type=positive, required=True, metavar="S", help="time step [s]")
+    parser.add_argument(
+        "--duration",
+        type=positive,
+        metavar="S",
+        help="simulated time [s]; needed unless there is a log, whose length is the default",
+    )
+    parser.add_argument(
+        "--from-static",
+        action="store_true",
+        help="start from the equilibrium under the first inputs, not from the straight rod",
+    )
+    parser.add_argument("--out", metavar="FILE.csv", help="write the motion, as a log")
+    parser.add_argument("--json", action="store_true", help="the whole motion as JSON on stdout")
+    # Options of the time stepping go here and into `_solver_options`.
+
+
+def _solver_options(args) -> dict:
+    """What the command line says about the time stepping, for `simulate`."""
+    return {"dt": args.dt}
+
+
+def run(args) -> int:
+    if args.out is not None:
+        check_writable(args.out)
+    prepare_jax()
+    import numpy as np
+
+    import softrod_jax as sr
+
+    scene = sr.load_scene(args.scene)
+    steps, tensions, pressures = _inputs(args, scene)
+    initial = None
+    if args.from_static:
+        initial = sr.solve_static(scene, _row(tensions, 0), _row(pressures, 0), throw=False)
+        if int(initial.result) != 0:
+            reason = f"--from-static: {sr.result_message(initial.result)}"
+            return _report(args, reason, [0.0], [None], 0, 0)
+    traj = sr.simulate(
+        scene,
+        tensions=_row(tensions, slice(1, None)),
+        pressures=_row(pressures, slice(1, None)),
+        steps=steps,
+        initial=initial,
+        throw=False,
+        **_solver_options(args),
+    )
+    succeeded = int(traj.result) == 0
+    failed_step = None if succeeded else int(traj.failed_step)
+    tips = np.array(traj.tip_positions)
+    if not succeeded:
+        tips[failed_step + 1 :] = np.nan  # the last iterates of a failed step are no motion
+    if args.out is not None:
+        _write(args.out, scene, np.asarray(traj.ts), tensions, pressures, tips)
+    rows = [None if np.isnan(tip).any() else tip.tolist() for tip in tips]
+    return _report(args, sr.result_message(traj.result), traj.ts.tolist(), rows, steps, failed_step)
+
+
+def _inputs(args, scene):
+    """Number of steps, tensions (steps + 1, tendons) and pressures (steps + 1, chambers).
+
+    Row 0 is at t = 0, row k at the end of step k; None where the scene has none or nothing is
+    given.
+    """
+    import numpy as np
+
+    if args.log is None:
+        if args.duration is None:
+            raise UsageError("--duration is needed (only a --log has one of its own)")
+        steps = _whole_steps(args.duration, args.dt)
+        return steps, *(
+            None if x is None else np.tile(x, (steps + 1, 1)) for x in actuation(args, scene)
+        )
+    if args.tension is not None or args.pressure is not None:
+        raise UsageError("--log already gives the inputs: leave --tension and --pressure out")
+    from calibration.recording import load_recording
+
+    log = load_recording(args.log, scene, need_tip=False)
+    clock = log.times - log.times[0]
+    duration = args.duration if args.duration is not None else float(clock[-1])
+    if duration == 0:
+        raise UsageError(f"--log {args.log}: one row has no duration; give --duration")
+    steps = _whole_steps(duration, args.dt)
+    ts = args.dt * np.arange(steps + 1)
+    if ts[-1] > clock[-1] + 0.5 * args.dt:
+        note(f"the log ends after {clock[-1]:g} s; its last inputs are held from there on")
+    return steps, *(
+        None if x is None else np.stack([np.interp(ts, clock, c) for c in x.T], axis=1)
+        for x in (log.tensions, log.pressures)
+    )
+
+
+def _whole_steps(duration: float, dt: float) -> int:
+    ratio = duration / dt
+    if ratio > _MOST_STEPS:
+        raise UsageError(
+            f"--duration {duration:g} with --dt {dt:g} makes {ratio:.3g} steps; at most "
+            f"{_MOST_STEPS:g} are allowed"
+        )
+    steps = round(ratio)
+    if duration < dt and not math.isclose(ratio, 1):
+        raise UsageError(f"--duration {duration:g} is shorter than one step, --dt {dt:g}")
+    if not math.isclose(ratio, steps, rel_tol=1e-9):
+        note(
+            f"{duration:g} s are not a whole number of steps of {dt:g} s: simulating {steps} "
+            f"steps, {steps * dt:g} s"
+        )
+    return steps
+
+
+def _row(inputs, index):
+    return None if inputs is None else inputs[index]
+
+
+def _write(path, scene, ts, tensions, pressures, tips) -> None:
+    """The motion with the columns of a log of this scene: actuators not used are at zero."""
+    import numpy as np
+
+    from calibration.recording import write_log
+
+    if tensions is None and scene.tendons is not None:
+        tensions = np.zeros((len(ts), scene.tendons.count))
+    if pressures is None and scene.chambers is not None:
+        pressures = np.zeros((len(ts), scene.chambers.count))
+    write_log(path, ts, tensions, pressures, tips)
+
+
+def _report(args, result, ts, tips, steps, failed_step) -> int:
+    if args.json:
+        print_json(
+            {
+                "result": result,
+                "t_s": ts,
+                "tip_position": tips,
+                "steps": steps,
+                "failed_step": failed_step,
+            }
+        )
+    elif failed_step is None:
+        tip = ", ".join(f"{x:.6g}" for x in tips[-1])
+        print(f"{steps} steps of {args.dt:g} s: {result}")
+        print(f"tip at {ts[-1]:g} s: ({tip}) m")
+        if args.out is not None:
+            print(f"written to {args.out}")
+    else:
+        when = f"step {failed_step}, from {ts[failed_step]:g} s: " if steps else ""
+        print(f"softrod: failed: {when}{result}", file=sys.stderr)
+    return 0 if failed_step is None else 1

@@ -1,0 +1,370 @@
+"""The command line: results as JSON, exit statuses, and never a traceback for bad input."""
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+from types import SimpleNamespace
+
+import jax
+import numpy as np
+import pytest
+
+import softrod_jax as sr
+from calibration import load_recording, write_log
+from calibration.cli import common
+from calibration.cli.main import main
+
+ROOT = Path(__file__).parents[1]
+
+CHAMBER = """
+[rod]
+length = 0.1
+section = { shape = "circle", radius = 6e-3 }
+young_modulus = 5.0e4
+poisson_ratio = 0.49
+density = 1070.0
+bending_damping = 1e-6
+[[chambers]]
+area = 7e-6
+offset = [3e-3, 0.0]
+"""
+
+
+@pytest.fixture(autouse=True)
+def in_a_directory_of_its_own(tmp_path, monkeypatch):
+    """Commands run in `tmp_path`; JAX's cache stays as the tests have it."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(common, "prepare_jax", lambda: None)
+    for command in ("solve", "simulate", "calibrate", "doctor"):
+        monkeypatch.setattr(f"calibration.cli.{command}.prepare_jax", lambda: None)
+    (tmp_path / "chamber.toml").write_text(CHAMBER)
+    sr.save_scene(sr.hybrid_robot(), tmp_path / "robot.toml")
+
+
+@pytest.fixture
+def asked(monkeypatch):
+    """A solver that moves nothing, and what it was asked: tests of the command, not of the rod."""
+    asked = SimpleNamespace(static=None, motion=None, static_result=0, failed_step=-1)
+
+    def solve_static(scene, tensions=None, pressures=None, *, throw):
+        asked.static = SimpleNamespace(tensions=tensions, pressures=pressures)
+        stats = {"residual": np.array(np.nan), "iterations": np.array(3)}
+        return SimpleNamespace(result=np.array(asked.static_result), stats=stats)
+
+    def simulate(scene, *, throw, **inputs):
+        asked.motion = SimpleNamespace(**inputs)
+        ts = inputs["dt"] * np.arange(inputs["steps"] + 1)
+        return SimpleNamespace(
+            ts=ts,
+            tip_positions=np.stack([0.01 * ts, 0 * ts, 0.1 + 0 * ts], axis=1),
+            result=np.array(0 if asked.failed_step < 0 else 2),
+            failed_step=np.array(asked.failed_step),
+        )
+
+    monkeypatch.setattr(sr, "solve_static", solve_static)
+    monkeypatch.setattr(sr, "simulate", simulate)
+    return asked
+
+
+def run(capsys, *argv):
+    """Exit status, stdout and stderr of `softrod *argv`."""
+    capsys.readouterr()
+    status = main([str(x) for x in argv])
+    captured = capsys.readouterr()
+    return status, captured.out, captured.err
+
+
+def circle(u, v3):
+    """Tip and attitude of a rod 0.1 m long, bent to a circle about y, and stretched."""
+    tip = v3 / u * np.array([1 - np.cos(0.1 * u), 0, np.sin(0.1 * u)])
+    return tip, [np.cos(0.05 * u), 0, np.sin(0.05 * u), 0]
+
+
+def test_solve(capsys):
+    status, out, err = run(capsys, "solve", "chamber.toml", "--pressure", "3e4", "--json")
+    content = json.loads(out)
+    assert (status, err) == (0, "")
+    assert list(content) == [
+        "result",
+        "tip_position",
+        "tip_quaternion",
+        "residual",
+        "iterations",
+    ]
+    assert content["result"] == "successful"
+    # The cap's thrust P A, r off the axis: u = -P A r / (E I), v3 = 1 + P A / (E A).
+    thrust = 3e4 * 7e-6
+    tip, turn = circle(
+        u=-thrust * 3e-3 / (5e4 * np.pi * 6e-3**4 / 4), v3=1 + thrust / (5e4 * np.pi * 6e-3**2)
+    )
+    assert np.allclose(content["tip_position"], tip, rtol=0, atol=1e-10)
+    assert np.allclose(content["tip_quaternion"], turn, rtol=0, atol=1e-10)
+
+
+@pytest.mark.long
+def test_solve_with_tendons(capsys):
+    status, out, _ = run(capsys, "solve", "robot.toml", "--tension", "0.1", "0", "0")
+    assert status == 0
+    tip, _ = circle(
+        u=0.1 * 4e-3 / (5e4 * np.pi * 6e-3**4 / 4), v3=1 - 0.1 / (5e4 * np.pi * 6e-3**2)
+    )
+    assert np.allclose(json.loads(out)["tip_position"], tip, rtol=0, atol=1e-10)
+
+    status, out, _ = run(capsys, "solve", "robot.toml", "--tension", "3", "0", "0")
+    assert status == 1
+    assert "no smooth equilibrium" in json.loads(out)["result"]
+
+
+def test_solve_without_equilibrium(capsys, asked):
+    asked.static_result = 1
+    status, out, _ = run(capsys, "solve", "robot.toml", "--tension", "3", "0", "0")
+    content = json.loads(out)
+    assert status == 1
+    assert "no smooth equilibrium" in content["result"]
+    assert content["tip_position"] is None
+    assert content["tip_quaternion"] is None
+    assert content["residual"] is None
+
+
+def test_simulate_writes_a_log_that_it_reads_back(capsys):
+    argv = ["simulate", "chamber.toml", "--dt", "0.01", "--json"]
+    status, out, err = run(
+        capsys, *argv, "--pressure", "1e4", "--duration", "0.03", "--out", "a.csv"
+    )
+    first = json.loads(out)
+    assert (status, err) == (0, "")
+    assert (first["result"], first["steps"], first["failed_step"]) == ("successful", 3, None)
+    assert np.allclose(first["t_s"], [0, 0.01, 0.02, 0.03])
+    assert np.allclose(first["tip_position"][0], [0, 0, 0.1])
+    log = load_recording("a.csv", sr.load_scene("chamber.toml"))
+    assert np.array_equal(log.tip_positions, first["tip_position"])
+    assert np.array_equal(log.pressures, 1e4 * np.ones((4, 1)))
+
+    status, out, _ = run(capsys, *argv, "--log", "a.csv")
+    assert status == 0
+    assert json.loads(out) == first
+
+
+def test_simulate_resamples_the_log(capsys, asked):
+    tau = np.array([[1.0, 0, 0], [2.0, 0, 0], [2.0, 0, 4.0]])
+    write_log("in.csv", [5.0, 5.1, 5.2], tau, 1e4 * np.ones((3, 1)))
+    argv = ["simulate", "robot.toml", "--log", "in.csv", "--dt", "0.05"]
+    status, out, err = run(capsys, *argv, "--from-static", "--out", "out.csv")
+    assert (status, err) == (0, "")
+    assert "4 steps of 0.05 s: successful" in out
+    # A step takes the value at its end, and the static start the value at t = 0.
+    assert asked.motion.steps == 4
+    assert np.allclose(asked.motion.tensions[:, 0], [1.5, 2, 2, 2])
+    assert np.allclose(asked.motion.tensions[:, 2], [0, 0, 2, 4])
+    assert np.allclose(asked.motion.pressures, 1e4)
+    assert np.allclose(asked.static.tensions, [1, 0, 0])
+    assert asked.motion.initial is not None
+    written = load_recording("out.csv", sr.hybrid_robot())
+    assert np.allclose(written.tensions[:, 0], [1, 1.5, 2, 2, 2])
+
+    _, _, err = run(capsys, *argv, "--duration", "1")
+    assert "note: the log ends after 0.2 s" in err
+    assert np.allclose(asked.motion.tensions[4:], [2, 0, 4])
+
+
+def test_simulate_without_inputs_leaves_the_actuators_out(capsys, asked):
+    argv = ["simulate", "robot.toml", "--dt", "0.1", "--duration", "0.5", "--out", "out.csv"]
+    assert run(capsys, *argv)[0] == 0
+    assert asked.motion.tensions is None
+    assert asked.motion.pressures is None
+    assert asked.motion.initial is None
+    written = load_recording("out.csv", sr.hybrid_robot())
+    assert not written.tensions.any()
+    assert not written.pressures.any()
+
+
+def test_simulate_rounds_to_whole_steps(capsys, asked):
+    _, _, err = run(capsys, "simulate", "robot.toml", "--dt", "0.03", "--duration", "0.1")
+    assert asked.motion.steps == 3
+    assert "note: 0.1 s are not a whole number of steps" in err
+    _, _, err = run(capsys, "simulate", "robot.toml", "--dt", "0.1", "--duration", "0.3")
+    assert asked.motion.steps == 3
+    assert err == ""
+
+
+def test_simulate_reports_a_failed_step(capsys, asked):
+    asked.failed_step = 2
+    argv = ["simulate", "robot.toml", "--dt", "0.1", "--duration", "0.5", "--out", "out.csv"]
+    status, out, _ = run(capsys, *argv, "--json")
+    content = json.loads(out)
+    assert status == 1
+    assert (content["failed_step"], content["steps"]) == (2, 5)
+    assert content["result"] == sr.result_message(2)
+    assert [tip is None for tip in content["tip_position"]] == [False] * 3 + [True] * 3
+    has_tip = load_recording("out.csv", sr.hybrid_robot()).has_tip
+    assert has_tip.tolist() == [True] * 3 + [False] * 3
+
+    status, out, err = run(capsys, *argv)
+    assert (status, out) == (1, "")
+    assert "failed: step 2, from 0.2 s" in err
+
+
+def test_simulate_without_a_static_start(capsys, asked):
+    asked.static_result = 1
+    argv = ["simulate", "robot.toml", "--dt", "0.1", "--duration", "0.5", "--from-static"]
+    status, out, _ = run(capsys, *argv, "--json")
+    content = json.loads(out)
+    assert status == 1
+    assert content["result"].startswith("--from-static: no smooth equilibrium")
+    assert asked.motion is None
+    assert run(capsys, *argv)[0] == 1
+
+
+def test_negative_pressure_in_any_notation(capsys, asked):
+    for text in ("-10000", "-1e4", "-1.0E+4"):
+        argv = ["simulate", "robot.toml", "--dt", "0.1", "--duration", "0.1", "--pressure", text]
+        assert run(capsys, *argv)[0] == 0
+        assert np.array_equal(asked.motion.pressures, [[-1e4]])
+
+
+LOG = "t_s,tau1_N,tau2_N,tau3_N,p1_Pa\n0,0,0,0,0\n1,1,1,1,1\n"
+
+STEP = ["--dt", "0.1", "--duration", "1"]
+
+# The command line, files that it needs, and what the message must say.
+BAD = [
+    ([], {}, ["COMMAND", "softrod --help"]),
+    (["solv", "robot.toml"], {}, ["'solv'", "solve"]),
+    (["solve"], {}, ["SCENE.toml"]),
+    (["solve", "absent.toml"], {}, ["absent.toml", "No such file"]),
+    (["solve", "."], {}, ["cannot read"]),
+    (["solve", "bad.toml"], {"bad.toml": "[rod"}, ["bad.toml", "not a TOML file"]),
+    (["solve", "bad.toml"], {"bad.toml": "[rod]\nlenght=1"}, ["bad.toml: rod.lenght", "length"]),
+    (["solve", "robot.toml", "--tension", "1", "2"], {}, ["--tension: 2 given", "3 tendons"]),
+    (["solve", "robot.toml", "--tension", "1", "-2", "3"], {}, ["--tension 1 -2 3", "only pull"]),
+    (["solve", "robot.toml", "--tension", "1", "x", "3"], {}, ["--tension", "'x'", "number"]),
+    (["solve", "robot.toml", "--tension", "1", "nan", "3"], {}, ["--tension", "'nan'", "finite"]),
+    (["solve", "robot.toml", "--pressure", "1e999"], {}, ["--pressure", "'1e999'", "finite"]),
+    (["solve", "robot.toml", "--tension"], {}, ["--tension"]),
+    (["solve", "robot.toml", "--pressure", "1", "2"], {}, ["--pressure: 2 given", "1 chamber;"]),
+    (["solve", "chamber.toml", "--tension", "1"], {}, ["--tension", "no tendons", "[[tend"]),
+    (["solve", "robot.toml", "--colour"], {}, ["--colour"]),
+    (["simulate", "robot.toml", "--duration", "1"], {}, ["--dt"]),
+    (["simulate", "robot.toml", "--dt", "0.1"], {}, ["--duration is needed"]),
+    (["simulate", "robot.toml", "--dt", "0", "--duration", "1"], {}, ["--dt", "above 0"]),
+    (["simulate", "robot.toml", "--dt", "-1", "--duration", "1"], {}, ["--dt", "above 0"]),
+    (["simulate", "robot.toml", "--dt", "x", "--duration", "1"], {}, ["--dt", "'x'"]),
+    (["simulate", "robot.toml", "--dt", "1", "--duration", "0.1"], {}, ["0.1 is shorter"]),
+    (["simulate", "robot.toml", "--dt", "1", "--duration", "-1"], {}, ["--duration", "above 0"]),
+    (["simulate", "robot.toml", "--dt", "1e-9", "--duration", "9"], {}, ["9e+09 steps"]),
+    (["simulate", "robot.toml", *STEP, "--out", "no/a.csv"], {}, ["--out no/a.csv", "not exist"]),
+    (["simulate", "robot.toml", *STEP, "--out", "."], {}, ["--out .", "directory"]),
+    (["simulate", "robot.toml", *STEP, "--log", "absent.csv"], {}, ["absent.csv", "No such"]),
+    (["simulate", "robot.toml", *STEP, "--log", "a.txt"], {"a.txt": LOG}, ["a.txt", ".csv"]),
+    (
+        ["simulate", "robot.toml", *STEP, "--log", "a.csv"],
+        {"a.csv": LOG.replace("1,1,1,1,1", "1,1,?,1,1")},
+        ["a.csv: row 3, column tau2_N", "'?'"],
+    ),
+    (
+        ["simulate", "robot.toml", *STEP, "--log", "a.csv", "--tension", "1", "1", "1"],
+        {"a.csv": LOG},
+        ["--log", "leave --tension"],
+    ),
+    (
+        ["simulate", "robot.toml", "--dt", "1", "--log", "a.csv"],
+        {"a.csv": LOG.replace("1,1,1,1,1\n", "")},
+        ["one row", "--duration"],
+    ),
+    (["calibrate", "robot.toml"], {}, ["no recordings", "LOG"]),
+    (["calibrate", "robot.toml", "a.csv", "--out", "a.csv"], {"a.csv": LOG}, ["--out a.csv"]),
+    (["calibrate", "robot.toml", "a.csv", "--window", "0"], {}, ["--window"]),
+]
+
+
+@pytest.mark.parametrize("argv, files, fragments", BAD, ids=[" ".join(x[0])[:60] for x in BAD])
+def test_bad_input(capsys, argv, files, fragments):
+    for name, content in files.items():
+        Path(name).write_text(content)
+    status, out, err = run(capsys, *argv)
+    assert status == 2
+    assert out == ""
+    lines = err.strip().split("\n")
+    assert lines[-1].startswith("softrod: error: ")
+    assert "Traceback" not in err
+    for fragment in fragments:
+        assert fragment in lines[-1]
+
+
+@pytest.mark.skipif(os.geteuid() == 0, reason="root may write anywhere")
+def test_directory_without_permission(capsys):
+    Path("locked").mkdir(mode=0o500)
+    status, _, err = run(capsys, "simulate", "robot.toml", *STEP, "--out", "locked/a.csv")
+    assert status == 2
+    assert "no permission" in err
+
+
+def test_errors_while_writing(capsys, asked, monkeypatch):
+    def full(*args):
+        raise OSError(28, "No space left on device", "out.csv")
+
+    monkeypatch.setattr("calibration.recording.write_log", full)
+    status, _, err = run(capsys, "simulate", "robot.toml", *STEP, "--out", "out.csv")
+    assert status == 2
+    assert err == "softrod: error: out.csv: No space left on device\n"
+
+
+@pytest.mark.long
+def test_doctor(capsys):
+    status, out, _ = run(capsys, "doctor", "--json")
+    content = json.loads(out)
+    assert status == 0
+    assert content["healthy"]
+    assert content["float64"]
+    assert content["solve_error_m"] < 1e-10
+    assert content["jax"] == jax.__version__
+
+
+def test_doctor_finds_a_wrong_solver(capsys, monkeypatch):
+    wrong = SimpleNamespace(result=np.array(0), tip_position=np.array([0, 0, 0.1]))
+    monkeypatch.setattr(sr, "solve_static", lambda *args, **options: wrong)
+    status, out, _ = run(capsys, "doctor")
+    assert status == 1
+    assert "healthy        False" in out
+
+
+@pytest.mark.parametrize("command", ["solve", "simulate", "calibrate", "doctor"])
+def test_help(capsys, command):
+    with pytest.raises(SystemExit) as stop:
+        main([command, "--help"])
+    assert stop.value.code == 0
+    assert "usage: softrod" in capsys.readouterr().out
+
+
+def test_cache_directory(tmp_path, monkeypatch):
+    monkeypatch.setenv("JAX_COMPILATION_CACHE_DIR", "/a")
+    assert common.cache_directory() == Path("/a")
+    monkeypatch.delenv("JAX_COMPILATION_CACHE_DIR")
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    assert common.cache_directory() == tmp_path / "softrod_jax"
+
+
+def test_as_a_process_that_cannot_keep_a_cache(tmp_path):
+    """The one test with everything real: float64, an unusable cache, bad input, no traceback."""
+    (tmp_path / "file").write_text("")
+    environment = {
+        **{k: v for k, v in os.environ.items() if not k.startswith("JAX_")},
+        "XDG_CACHE_HOME": str(tmp_path / "file"),
+        "PYTHONPATH": str(ROOT),
+    }
+    argv = ["solve", "robot.toml", "--tension", "1", "-1", "0"]
+    done = subprocess.run(
+        [sys.executable, "-m", "calibration.cli", *argv],
+        env=environment,
+        cwd=tmp_path,
+        capture_output=True,
+        text=True,
+        timeout=120,
+        check=False,
+    )
+    assert done.returncode == 2
+    assert done.stdout == ""
+    assert done.stderr.startswith("softrod: error: --tension 1 -1 0")
+    assert "Traceback" not in done.stderr
