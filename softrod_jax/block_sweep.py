@@ -38,18 +38,28 @@ def factorise(left: Float[Array, "m n n"], right: Float[Array, "m n n"], tip_slo
     """Prepare the sweeps. `tip_slope`: (6, a)."""
     n = left.shape[-1]
     a = n - 6
-    inverse = jnp.linalg.inv(jnp.concatenate([right[..., :a], left[..., a:]], -1))
+    inverse = _inverse(jnp.concatenate([right[..., :a], left[..., a:]], -1))
     T = -inverse @ jnp.concatenate([left[..., :a], right[..., a:]], -1)
     T11, T12, T21, T22 = T[:, :a, :a], T[:, :a, a:], T[:, a:, :a], T[:, a:, a:]
 
     def inwards(S, T):
         T11, T12, T21, T22 = T
-        W = jnp.linalg.inv(jnp.eye(6) - S @ T12)
+        W = _inverse(jnp.eye(6) - S @ T12)
         V = W @ (S @ T11)
         return T21 + T22 @ V, (S, W, V)
 
     _, (S, W, V) = jax.lax.scan(inwards, tip_slope, (T11, T12, T21, T22), reverse=True)
     return Factors(inverse, T12, T22, T11, S, W, V)
+
+
+def _inverse(A: Float[Array, "*batch n n"]):
+    """By LU with partial pivoting; jnp.linalg.inv compiles to three times as much."""
+    lu, _, order = jax.lax.linalg.lu(A)
+    permutation = (order[..., :, None] == jnp.arange(A.shape[-1])).astype(A.dtype)
+    y = jax.lax.linalg.triangular_solve(
+        lu, permutation, left_side=True, lower=True, unit_diagonal=True
+    )
+    return jax.lax.linalg.triangular_solve(lu, y, left_side=True, lower=False)
 
 
 def has_no_conjugate_point(factors: Factors):

@@ -21,9 +21,9 @@ from softrod_jax.rod_ode import History, Layout, tip_condition
 
 
 class Guess(NamedTuple):
-    """Where Newton starts: states at the nodes, strains at the points."""
+    """Where Newton starts: states and strains at the points of the method."""
 
-    Y: Float[Array, "nodes n"]
+    y: Float[Array, "points n"]
     strain: Float[Array, "points 6"]
 
 
@@ -56,15 +56,20 @@ class Solved(NamedTuple):
 def search_directly(method, layout, options, rod, history, guess: Guess) -> Solved:
     """Newton's method from `guess`."""
     equations = _Equations(method, layout, rod, history)
-    Y = equations.with_base(guess.Y)
+    Y = equations.with_base(method.nodes(guess.y))
+    at = jax.tree.map(
+        lambda x: jnp.zeros(x.shape, x.dtype),
+        jax.eval_shape(equations.evaluate, Y, guess.strain)[1],
+    )
     end = newton(
         equations.evaluate,
         equations.factorise,
         equations.solve,
         Y,
-        guess.strain,
+        at._replace(y=guess.y, strain=guess.strain),
         equations.scale(Y),
         options,
+        exact_factors=not layout.dynamic,
     )
     one = jnp.ones((), jnp.int32)
     stable = jnp.array(True) if layout.dynamic else has_no_conjugate_point(end.factors[0])

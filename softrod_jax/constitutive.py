@@ -131,14 +131,17 @@ def _inverse(H):
     spends its time on overhead. Such matrices need no pivoting.
     """
     n = H.shape[-1]
-    for k in range(n):
-        at = np.arange(n) == k
-        row = jnp.where(at, 1.0, H[..., k : k + 1, :])
-        column = jnp.where(at[:, None], 1.0, H[..., :, k : k + 1])
-        update = column * row / H[..., k : k + 1, k : k + 1]
+
+    def sweep(k, H):
+        at = jnp.arange(n) == k
         on_cross, at_pivot = at | at[:, None], at & at[:, None]
-        H = jnp.where(on_cross, jnp.where(at_pivot, -update, update), H - update)
-    return -H
+        row = jax.lax.dynamic_slice_in_dim(H, k, 1, -2)
+        pivot = jax.lax.dynamic_slice_in_dim(row, k, 1, -1)
+        row = jnp.where(at, 1.0, row)
+        update = jnp.swapaxes(row, -1, -2) * row / pivot
+        return jnp.where(on_cross, jnp.where(at_pivot, -update, update), H - update)
+
+    return -jax.lax.fori_loop(0, n, sweep, H)
 
 
 # Step lengths that are tried at once; the longest that lowers the energy enough is taken.

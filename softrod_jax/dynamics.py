@@ -159,7 +159,7 @@ def _simulate(scene, dt, tensions, pressures, strain, steps, scheme, method, opt
             result = jnp.where(valid, found.result, RESULTS.bad_input).astype(jnp.int32)
             _, q, w, _, _ = layout.split(solved.y)
             running = _Running(
-                Guess(solved.Y, solved.strain),
+                Guess(solved.y, solved.strain),
                 jnp.where(running.result == 0, result, running.result),
                 running.iterations + found.iterations,
                 jnp.maximum(running.correction, found.correction),

@@ -6,7 +6,7 @@ algebra, the time stepping and the gradients are written once, on top of this in
 """
 
 import abc
-from typing import NamedTuple
+from typing import NamedTuple, Optional
 
 import equinox as eqx
 from jaxtyping import Array, Bool, Float
@@ -18,13 +18,16 @@ from softrod_jax.rod_ode import Layout
 class Defects(NamedTuple):
     """A method at given node states: the defects, and the rod at all its points.
 
-    `solvable`: whether the strains exist at every point (see `constitutive.py`).
+    - `solvable`: whether the strains exist at every point (see `constitutive.py`).
+    - `error`: estimated error of the states, in sizes of the problem: about the error of the
+      tip in lengths of the rod. `None`: the method has no estimate.
     """
 
     defect: Float[Array, "intervals n"]
     y: Float[Array, "points n"]
     strain: Float[Array, "points 6"]
     solvable: Bool[Array, ""]
+    error: Optional[Float[Array, ""]] = None
 
 
 class Method(eqx.Module):

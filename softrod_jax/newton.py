@@ -11,7 +11,7 @@ from typing import Any, Callable, NamedTuple
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Bool, Float, Int
 
 from softrod_jax.results import RESULTS
 
@@ -54,94 +54,98 @@ class NewtonResult(NamedTuple):
 class _State(NamedTuple):
     y: Array
     aux: Any
-    factors: Any
     step: Array
     size: Float[Array, ""]
     damping: Float[Array, ""]
     contraction: Float[Array, ""]
     result: Int[Array, ""]
     iterations: Int[Array, ""]
-    running: Array
+    running: Bool[Array, ""]
+    fresh: Bool[Array, ""]  # the factors are new: `step` and `size` are not known yet
+    stale: Bool[Array, ""]  # the factors serve no longer
 
 
 def newton(
-    evaluate: Callable, factorise: Callable, solve: Callable, y, strain, scale, options
+    evaluate: Callable,
+    factorise: Callable,
+    solve: Callable,
+    y,
+    aux,
+    scale,
+    options: NewtonOptions,
+    exact_factors: bool = False,
 ) -> NewtonResult:
     """Solve `evaluate(y, strain) = (F, aux, valid)` for F = 0 from `y`.
 
-    - `evaluate(y, strain)`: equations F (a pytree), what comes along with them (with the field
-      `strain`, the guess for the next evaluation), and whether they could be evaluated at all.
-    - `factorise(y, aux)`: factors of the Jacobian there.
+    - `evaluate(y, strain)`: equations F (a pytree), what comes along with them (a named tuple
+      with the field `strain`, the guess for the next evaluation), and whether they could be
+      evaluated at all.
+    - `factorise(y, aux)`: factors of the Jacobian there. `aux` at the start is a guess.
     - `solve(factors, F)`: the correction -J^-1 F, of y's shape.
     - `scale`: of y's shape or broadcast to it; corrections are measured by max |dy / scale|.
+    - `exact_factors`: return the factors at the solution itself.
     """
 
     def size_of(step):
         size = jnp.max(jnp.abs(step) / scale)
         return jnp.where(jnp.isfinite(size), size, jnp.inf)
 
-    def cond(state):
+    def goes_on(state):
         return state.running & (state.iterations < options.max_iterations)
 
-    def body(state):
-        # The first pass has no correction yet: it evaluates the start and factorises there.
-        first = state.iterations == 0
+    # Two nested loops and no branch: in a batch, a branch would cost every pass a Jacobian.
+    def with_new_factors(carry):
+        state, _, _ = carry
+        last = ~goes_on(state)
+        factors = factorise(state.y, state.aux)
+        state = state._replace(
+            step=jnp.zeros_like(state.step), fresh=jnp.array(True), stale=jnp.array(False)
+        )
+        state = jax.lax.while_loop(
+            lambda s: goes_on(s) & ~s.stale, lambda s: one_pass(s, factors), state
+        )
+        return state, factors, last
+
+    def one_pass(state, factors):
         y = state.y + state.damping * state.step
         F, aux, valid = evaluate(y, state.aux.strain)
-        step = solve(state.factors, F)
+        step = solve(factors, F)
         size = size_of(step)
-        full = state.damping == 1.0
+        full = state.fresh | (state.damping == 1.0)
         falls = size <= (1 - state.damping / 4) * state.size
         small = size <= options.tolerance
         at_rounding = full & (state.size <= _ROUNDING) & (size <= 10 * _ROUNDING)
-        accept = valid & (first | falls | small | at_rounding)
-        converged = accept & ~first & full & (small | (at_rounding & ~falls))
+        accept = valid & jnp.isfinite(size) & (state.fresh | falls | small | at_rounding)
+        converged = accept & full & (small | (at_rounding & ~falls & ~state.fresh))
         ratio = size / state.size
-
-        factors, next_step = jax.lax.cond(
-            first | (accept & ~converged & ~(full & (ratio < _REUSE))),
-            lambda: renewed(y, aux, F),
-            lambda: (state.factors, step),
-        )
-        next_size = size_of(next_step)
         damping = jnp.where(accept, jnp.minimum(1.0, 4 * state.damping), state.damping / 4)
-        stuck = ~accept & (first | (damping < options.smallest_damping))
-        failed = stuck | (accept & ~jnp.isfinite(next_size))
+        failed = ~accept & (state.fresh | (damping < options.smallest_damping))
         reason = jnp.where(valid, RESULTS.diverged, RESULTS.no_equilibrium)
         result = jnp.where(failed, reason, RESULTS.max_iterations)
+        # The first factors were made at a guess of `aux`: where they have to be exact in the
+        # end, they are better so from the beginning.
+        guessed = exact_factors & (state.iterations == 0)
+        judged = accept & ~state.fresh & (size > _ROUNDING)
+        worst = jnp.where(judged, jnp.maximum(state.contraction, ratio), state.contraction)
         pick = lambda new, old: jax.tree.map(lambda a, b: jnp.where(accept, a, b), new, old)
-        judged = accept & ~first & (size > _ROUNDING)
         return _State(
             # A correction at rounding level is noise: it is not added.
             y=pick(jnp.where(converged & small, y + step, y), state.y),
             aux=pick(aux, state.aux),
-            factors=pick(factors, state.factors),
-            step=pick(next_step, state.step),
-            size=pick(next_size, state.size),
-            damping=damping,
-            contraction=jnp.where(
-                full, jnp.where(judged, jnp.maximum(state.contraction, ratio), state.contraction),
-                jnp.inf,
-            ),
+            step=pick(step, state.step),
+            size=pick(size, state.size),
+            damping=jnp.where(state.fresh, state.damping, damping),
+            contraction=jnp.where(full, worst, jnp.inf),
             result=jnp.where(converged, RESULTS.successful, result).astype(jnp.int32),
             iterations=state.iterations + 1,
             running=~converged & ~failed,
+            fresh=jnp.array(False),
+            stale=accept & jnp.where(state.fresh, guessed, ~(full & (ratio < _REUSE))),
         )
 
-    def renewed(y, aux, F):
-        factors = factorise(y, aux)
-        return factors, solve(factors, F)
-
-    # One copy of the equations in the compiled program: their shapes come from abstract values.
-    like = lambda f, *args: jax.tree.map(
-        lambda x: jnp.zeros(x.shape, x.dtype), jax.eval_shape(f, *args)
-    )
-    _, aux, _ = like(evaluate, y, strain)
-    aux = aux._replace(strain=strain)
     start = _State(
         y=y,
         aux=aux,
-        factors=like(factorise, y, aux),
         step=jnp.zeros_like(y),
         size=jnp.array(jnp.inf),
         damping=jnp.ones(()),
@@ -149,8 +153,19 @@ def newton(
         result=jnp.array(RESULTS.max_iterations, jnp.int32),
         iterations=jnp.zeros((), jnp.int32),
         running=jnp.array(True),
+        fresh=jnp.array(True),
+        stale=jnp.array(False),
     )
-    end = jax.lax.while_loop(cond, body, start)
+    shapes = jax.eval_shape(factorise, y, aux)
+    factors = jax.tree.map(lambda x: jnp.zeros(x.shape, x.dtype), shapes)
+
+    def unfinished(carry):
+        state, _, last = carry
+        return goes_on(state) | ~last if exact_factors else goes_on(state)
+
+    end, factors, _ = jax.lax.while_loop(
+        unfinished, with_new_factors, (start, factors, jnp.array(False))
+    )
     return NewtonResult(
-        end.y, end.aux, end.factors, end.result, end.iterations, end.size, end.contraction
+        end.y, end.aux, factors, end.result, end.iterations, end.size, end.contraction
     )

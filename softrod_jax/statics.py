@@ -127,12 +127,11 @@ def unloaded_guess(method: Method, layout: Layout, rod: Rod) -> Guess:
     """The rod without any load: strains v*, u*, no wrench, at rest."""
     s = method.points(rod.L)
     strain = jnp.broadcast_to(jnp.concatenate([rod.v_star, rod.u_star]), (s.shape[0], 6))
-    nodes = method.nodes(s)
     h = None
     if layout.attitude:
-        turned = quaternion_exp(nodes[:, None] * rod.u_star)
+        turned = quaternion_exp(s[:, None] * rod.u_star)
         h = quaternion_product(jnp.broadcast_to(rod.h_base, turned.shape), turned)
-    rest = jnp.zeros((nodes.shape[0], layout.size - 4 * layout.attitude))
+    rest = jnp.zeros((s.shape[0], layout.size - 4 * layout.attitude))
     return Guess(layout.join(h, rest), strain)
 
 
@@ -160,7 +159,7 @@ def search_by_load(method, layout, options, rod, history, guess: Guess) -> Solve
         ahead = (load - state.load) / jnp.maximum(state.load - state.before_load, 1e-12)
         past = state.solved.found
         ahead = jnp.where(past.load_steps > 1, ahead, 0.0)
-        last = Guess(state.solved.Y, state.solved.strain)
+        last = Guess(state.solved.y, state.solved.strain)
         start = jax.tree.map(lambda a, b: a + ahead * (a - b), last, state.before)
         new = search_directly(method, layout, options, scaled_loads(rod, load), history, start)
         found = new.found
@@ -194,8 +193,7 @@ def search_by_load(method, layout, options, rod, history, guess: Guess) -> Solve
         )
 
     zero, none = jnp.zeros((), jnp.int32), jnp.zeros(())
-    y = jnp.zeros((guess.strain.shape[0], layout.size))
-    unloaded = Solved(guess.Y, y, guess.strain, Found(zero, zero, none, none, zero, jnp.array(True)))
+    unloaded = Solved(method.nodes(guess.y), guess.y, guess.strain, Found(zero, zero, none, none, zero, jnp.array(True)))
     start = _Load(none, jnp.ones(()), unloaded, guess, none, zero, jnp.array(True))
     return jax.lax.while_loop(lambda state: state.running, attempt, start).solved
 

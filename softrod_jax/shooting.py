@@ -1,0 +1,226 @@
+"""Single and multiple shooting along the rod, integrated by a solver of diffrax.
+
+The unknowns are the states at the ends of `segments`; each segment is an initial value problem.
+The rod equations have modes that grow and decay along the rod as exp(+-c0 s / c), with c the
+speed of a wave and c0 about 1/dt. A segment multiplies errors by exp(c0 ds / c): single
+shooting is for statics and slow motions, and no explicit solver is accurate once a wave takes
+longer than a time step for one of its steps, c0 ds / c > 1. `Collocation` has neither limit.
+"""
+
+import diffrax
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from softrod_jax.method import Defects, Method
+from softrod_jax.rod import Rod
+from softrod_jax.rod_ode import History, Layout, rod_ode
+from softrod_jax.shape import integrate_shape
+
+# Boole's rule: exact for the moments that the sixth-order Magnus expansion needs.
+_QUARTERS, _BOOLE = np.arange(5) / 4, np.array([7, 32, 12, 32, 7]) / 90
+
+# Points of the Lagrange polynomials that interpolate the history.
+_WINDOW = 6
+
+
+class Shooting(Method):
+    """Multiple shooting; `segments=1` is single shooting.
+
+    - `segments`, each of `steps` equal steps. Strains and velocities are kept at the ends of
+      all steps; in between, a time step's history is interpolated by polynomials through the 6
+      nearest ends (all of them, if there are fewer). A solver of order above 6 gains nothing.
+    - `solver`: any `diffrax.AbstractSolver` of ordinary differential equations. An implicit one
+      needs tolerances: `Kvaerno3(root_finder=diffrax.VeryChord(rtol=1e-10, atol=1e-10))`.
+    - `stepsize_controller`: with `diffrax.PIDController` each of the steps is divided further
+      as its tolerances ask for, into at most `max_substeps`; they are relative to the sizes of
+      a bent rod's forces, moments and velocities. Slow to compile.
+    - `max_error`: the estimated error of the integration (`Defects.error`) up to which a
+      solution counts as one. Solvers without an embedded error estimate are not checked;
+      `diffrax.HalfSolver` gives one to any solver.
+
+    Raises `ValueError` for counts below 1 and for what is not a solver.
+    """
+
+    segments: int = eqx.field(static=True, default=1)
+    steps: int = eqx.field(static=True, default=20)
+    solver: diffrax.AbstractSolver = eqx.field(static=True, default=diffrax.Tsit5())
+    stepsize_controller: diffrax.AbstractStepSizeController = eqx.field(
+        static=True, default=diffrax.ConstantStepSize()
+    )
+    max_substeps: int = eqx.field(static=True, default=16)
+    max_error: float = eqx.field(static=True, default=1e-3)
+
+    def __check_init__(self):
+        for name in ("segments", "steps", "max_substeps"):
+            if getattr(self, name) < 1:
+                raise ValueError(f"Shooting: {name}={getattr(self, name)!r}; at least 1 is needed")
+        if not isinstance(self.solver, diffrax.AbstractSolver):
+            raise ValueError(f"Shooting: solver={self.solver!r}; give a diffrax.AbstractSolver")
+
+    @property
+    def intervals(self) -> int:
+        return self.segments
+
+    def points(self, length) -> Float[Array, "points"]:
+        """Arc lengths [m] of the ends of all steps."""
+        return length * jnp.linspace(0.0, 1.0, self.segments * self.steps + 1)
+
+    def nodes(self, points: Float[Array, "points *rest"]) -> Float[Array, "nodes *rest"]:
+        """The entries at the ends of segments."""
+        return points[:: self.steps]
+
+    def outputs(self, points: Float[Array, "points *rest"]) -> Float[Array, "points *rest"]:
+        """All points: single shooting has no nodes but the two ends."""
+        return points
+
+    def shape(self, strain, length, base_position, base_quaternion):
+        """Positions (points, 3) and quaternions (points, 4), at order 6."""
+        x = jnp.arange(4 * (strain.shape[0] - 1) + 1) / 4
+        fine = _Window(x, strain.shape[0]).interpolate(strain)
+        return integrate_shape(
+            fine, length, base_position, base_quaternion, _QUARTERS, _BOOLE
+        )
+
+    def defects(
+        self, Y: Float[Array, "nodes n"], rod: Rod, layout: Layout, history, guess
+    ) -> Defects:
+        """How far each segment ends from the next node."""
+        ends, error = self._propagate(Y[:-1], rod, layout, history, guess)
+        starts = jnp.concatenate([Y[None, :-1], ends[:-1]])
+        y = jnp.swapaxes(starts, 0, 1).reshape(-1, layout.size)
+        y = jnp.concatenate([y, Y[-1:]])
+        rates = rod_ode(self.points(rod.L), y, rod, layout, history, guess)
+        # Where the integration has overflowed, it is not the tendons that fail.
+        solvable = rates.solvable | ~jnp.all(jnp.isfinite(y))
+        return Defects(Y[1:] - ends[-1], y, rates.strain, solvable, error)
+
+    def blocks(self, at: Defects, rod: Rod, layout: Layout, history):
+        """d(defect_k)/dY_k and d(defect_k)/dY_{k+1}, each (segments, n, n)."""
+        Y, eye = self.nodes(at.y)[:-1], jnp.eye(layout.size)
+
+        def column(e):
+            last = lambda Y: self._propagate(Y, rod, layout, history, at.strain)[0][-1]
+            return jax.jvp(last, (Y,), (jnp.broadcast_to(e, Y.shape),))[1]
+
+        left = -jax.vmap(column, out_axes=-1)(eye)
+        return left, jnp.broadcast_to(eye, left.shape)
+
+    def _propagate(self, Y: Float[Array, "segments n"], rod, layout, history, guess):
+        """States at the ends of steps, (steps, segments, n), and the estimated error.
+
+        All segments advance together. The independent variable counts steps, so that neither
+        the grid nor the interpolation depends on the length of the rod; the state is in units
+        of the rod, so that one tolerance fits all its parts.
+        """
+        units = _units(Y, rod, layout, history)
+        step = rod.L / (self.segments * self.steps)
+        count = self.segments * self.steps + 1
+        offset = np.arange(self.segments) * float(self.steps)
+        guess = jax.lax.stop_gradient(guess)
+
+        def field(x, z, args):
+            del args
+            x = jax.lax.stop_gradient(offset + x)
+            at = _Window(x, count)
+            here = None
+            if history is not None:
+                here = History(
+                    history.c0, at.interpolate(history.strain), at.interpolate(history.velocity)
+                )
+            rates = rod_ode(x * step, z * units, rod, layout, here, at.interpolate(guess))
+            return step * rates.y_s / units
+
+        advance, state = self._stepper(diffrax.ODETerm(field), Y / units)
+        _, (ends, errors) = jax.lax.scan(
+            advance, (Y / units, state), jnp.arange(self.steps, dtype=float)
+        )
+        # Errors of the single steps add up: with both ends of the rod held, they do not grow.
+        error = jnp.sum(jnp.max(errors, -1))
+        return ends * units, error
+
+    def _stepper(self, term, start):
+        """`advance((z, state), x) -> ((z, state), (z, error))` from x to x + 1, and `state`."""
+        solver = _differentiable(self.solver)
+
+        if isinstance(self.stepsize_controller, diffrax.ConstantStepSize):
+
+            def advance(carry, x):
+                z, state = carry
+                z, error, _, state, result = solver.step(
+                    term, x, x + 1, z, None, state, made_jump=False
+                )
+                z = jnp.where(result == diffrax.RESULTS.successful, z, jnp.nan)
+                error = jnp.full_like(z, jnp.nan) if error is None else jnp.abs(error)
+                return (z, state), (z, jax.lax.stop_gradient(error))
+
+            return advance, solver.init(term, 0.0, 1.0, start, None)
+
+        def advance(carry, x):
+            z, _ = carry
+            solution = diffrax.diffeqsolve(
+                term,
+                solver,
+                x,
+                x + 1,
+                1.0,
+                z,
+                stepsize_controller=self.stepsize_controller,
+                max_steps=self.max_substeps,
+                # The only adjoint that has both a forward and a reverse derivative.
+                adjoint=diffrax.DirectAdjoint(),
+                throw=False,
+            )
+            z = jnp.where(
+                solution.result == diffrax.RESULTS.successful, solution.ys[-1], jnp.nan
+            )
+            # The controller keeps the error within its own tolerances.
+            return (z, None), (z, jnp.full_like(z, jnp.nan))
+
+        return advance, None
+
+
+class _Window:
+    """Lagrange interpolation from points 0, 1, .., `count` - 1 to `x`, (m,), of their range."""
+
+    def __init__(self, x: Float[Array, "m"], count: int):
+        width = min(_WINDOW, count)
+        at = np.arange(width)
+        first = jnp.clip(jnp.floor(x).astype(int) - (width // 2 - 1), 0, count - width)
+        others = ~np.eye(width, dtype=bool)
+        distance = (x - first)[:, None, None] - at
+        numerator = jnp.prod(jnp.where(others, distance, 1.0), -1)
+        denominator = np.prod(np.where(others, at[:, None] - at, 1), -1)
+        self._index, self._weights = first[:, None] + at, numerator / denominator
+
+    def interpolate(self, values: Float[Array, "points k"]) -> Float[Array, "m k"]:
+        return jnp.sum(self._weights[..., None] * values[self._index], -2)
+
+
+def _differentiable(solver: diffrax.AbstractSolver) -> diffrax.AbstractSolver:
+    """The solver, with the loop over its stages one that has both derivatives."""
+    is_stages = lambda x: isinstance(x, diffrax.AbstractRungeKutta)
+    bounded = lambda x: eqx.tree_at(
+        lambda s: s.scan_kind, x, "bounded", is_leaf=lambda leaf: leaf is None
+    )
+    return jax.tree.map(lambda x: bounded(x) if is_stages(x) else x, solver, is_leaf=is_stages)
+
+
+def _units(Y, rod: Rod, layout: Layout, history):
+    """Sizes of the state's components, (n,): a bent rod's, or those of `Y` if larger."""
+    EI = jnp.max(rod.K_bt[:2])
+    rate = 1.0 if history is None else history.c0
+    if history is not None and rod.B_bt is not None:
+        EI = EI + rate * jnp.max(rod.B_bt[:2])
+    N, M = jnp.max(jnp.abs(Y[:, -6:-3])), jnp.max(jnp.abs(Y[:, -3:]))
+    one = jnp.ones(3)
+    units = layout.join(
+        jnp.ones(4) if layout.attitude else None,
+        rate * rod.L * one if layout.dynamic else None,
+        rate * one if layout.dynamic else None,
+        (EI / rod.L**2 + N) * one,
+        (EI / rod.L + M) * one,
+    )
+    return jax.lax.stop_gradient(units)

@@ -1,0 +1,212 @@
+"""Motions against beam theory, independent solutions, and the statics."""
+
+import json
+from pathlib import Path
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy.optimize import brentq, least_squares
+
+import softrod_jax as sr
+from softrod_jax.scene import as_arrays
+
+SHARED = Path(__file__).parents[2] / "shared" / "reference"
+
+
+def with_(scene, **changes):
+    return as_arrays(sr.Scene(**{**vars(scene), **changes}))
+
+
+def slender(**parts):
+    """EI = 1e-3 N m^2, rho A = 0.1 kg/m, L = 0.5 m; rotary inertia and shear negligible."""
+    section = sr.GeneralSection(1e-4, jnp.array([1e-11, 1e-11]), 2e-11)
+    return as_arrays(sr.Scene(0.5, section, 1e8, 0.3, 1000.0, **parts))
+
+
+def fit_ringing(t, x, omegas, zeta):
+    """Frequencies and damping ratios of the damped cosines that make up `x`."""
+    n = len(omegas)
+
+    def columns(p):
+        w, z = p[:n], p[n:]
+        decay = np.exp(-z * w * t[:, None])
+        wd = w * np.sqrt(1 - z**2)
+        return np.hstack([decay * np.cos(wd * t[:, None]), decay * np.sin(wd * t[:, None]),
+                          np.ones((len(t), 1))])
+
+    def residual(p):
+        A = columns(p)
+        return (A @ np.linalg.lstsq(A, x, rcond=None)[0] - x) / np.std(x)
+
+    p = least_squares(residual, np.r_[omegas, np.full(n, zeta)], xtol=1e-14, ftol=1e-14).x
+    return p[:n], p[n:]
+
+
+def test_cantilever_frequencies_and_kelvin_voigt_decay():
+    EI, rho_A, L, B = 1e-3, 0.1, 0.5, 2e-6
+    scene = slender(gravity=jnp.array([-1e-3, 0.0, 0.0]), bending_damping=B)
+    omega = np.array([1.87510407, 4.69409113]) ** 2 * np.sqrt(EI / (rho_A * L**4))
+    period = 2 * np.pi / omega[0]
+    dt, steps = period / 100, 500
+    motion = sr.simulate(scene, dt, steps=steps, scheme=sr.SDIRK(order=4))
+    t, x = np.array(motion.ts), np.array(motion.tip_positions[:, 0])
+    # The third mode and above, 2 % of the second's amplitude, die out in the first period.
+    late = t > period
+    w, z = fit_ringing(t[late], x[late], omega * 1.01, 0.01)
+    zeta = omega * B / (2 * EI)
+    np.testing.assert_allclose(w, omega, rtol=3e-4)
+    np.testing.assert_allclose(z, zeta, rtol=2e-2)
+
+
+def test_frequency_with_a_payload():
+    EI, rho_A, L, mass = 1e-3, 0.1, 0.5, 0.1
+    mu = mass / (rho_A * L)
+    characteristic = lambda b: (
+        1 + np.cos(b) * np.cosh(b) + mu * b * (np.cos(b) * np.sinh(b) - np.sin(b) * np.cosh(b))
+    )
+    omega = brentq(characteristic, 0.5, 1.8) ** 2 * np.sqrt(EI / (rho_A * L**4))
+    scene = slender(gravity=jnp.array([-1e-4, 0.0, 0.0]), payload=sr.Payload(mass))
+    dt = 2 * np.pi / omega / 100
+    motion = sr.simulate(scene, dt, steps=400, scheme=sr.SDIRK(order=4))
+    t, x = np.array(motion.ts), np.array(motion.tip_positions[:, 0])
+    w, _ = fit_ringing(t, x, np.array([omega * 1.02]), 1e-3)
+    np.testing.assert_allclose(w[0], omega, rtol=1e-3)
+
+
+def _reference_cases():
+    path = SHARED / "dynamic.json"
+    return json.loads(path.read_text())["cases"] if path.exists() else {}
+
+
+@pytest.mark.skipif(not _reference_cases(), reason="shared/reference/dynamic.json is absent")
+@pytest.mark.parametrize(
+    "name, limit",
+    [("gravity_step", 5e-5), ("tendon_step_0.1N", 1e-3), ("tendon_ramp_0.3N_50ms", 5e-5)],
+)
+def test_independent_motions(name, limit):
+    """Tip over 1 s at dt = 1 ms, default settings."""
+    case, dt, steps = _reference_cases()[name], 1e-3, 1000
+    load, t = case["load"], dt * np.arange(1, 1001)
+    scene = with_(sr.hybrid_robot(), drag_coefficient=None)
+    tensions = None
+    if "g" in load:
+        scene = with_(scene, gravity=jnp.array([load["g"][0], 0.0, load["g"][1]]))
+    else:
+        x = np.minimum(1, t / load["ramp"]) if load.get("ramp") else np.ones(steps)
+        tensions = np.zeros((steps, 3))
+        tensions[:, 0] = load["tau"] * x**3 * (10 - 15 * x + 6 * x**2)
+    motion = sr.simulate(scene, dt, tensions, steps=steps)
+    tip = np.array(motion.tip_positions)[::5]
+    path = case["trajectory"]
+    assert np.abs(tip[:, 0] - path["x"]).max() < limit
+    assert np.abs(tip[:, 2] - path["z"]).max() < limit
+    assert np.abs(tip[:, 1]).max() < 1e-12
+
+
+@pytest.mark.parametrize(
+    "scheme, dts, ratio, limit",
+    [
+        # Second order; the limits are the tip errors at the first dt.
+        (sr.BDFAlpha(alpha=-0.2), (5e-3, 2.5e-3, 1.25e-3), 3.5, 6.5e-4),
+        (sr.BDFAlpha(alpha=-0.45), (5e-3, 2.5e-3, 1.25e-3), 3.5, 2.7e-4),
+        (sr.SDIRK(order=4), (20e-3, 10e-3), 8.0, 7e-5),
+    ],
+    ids=str,
+)
+@pytest.mark.skipif(not _reference_cases(), reason="shared/reference/dynamic.json is absent")
+@pytest.mark.long
+def test_order_on_the_gravity_step(scheme, dts, ratio, limit):
+    path = _reference_cases()["gravity_step"]["trajectory"]
+    scene = with_(
+        sr.hybrid_robot(), gravity=jnp.array([-9.81, 0.0, 0.0]), drag_coefficient=None
+    )
+    errors = []
+    for dt in dts:
+        motion = sr.simulate(scene, dt, steps=round(1 / dt), scheme=scheme)
+        common = max(dt, 5e-3)
+        tip = np.array(motion.tip_positions)[:: round(common / dt), 0]
+        errors.append(np.abs(tip - np.array(path["x"])[:: round(common / 5e-3)]).max())
+    assert errors[0] < limit
+    assert np.all(np.array(errors[:-1]) / errors[1:] > ratio), errors
+
+
+def test_a_long_motion_ends_in_the_equilibrium():
+    scene = with_(
+        sr.hybrid_robot(gravity=jnp.array([-9.81, 2.0, 0.0])), bending_damping=5e-6
+    )
+    tensions, pressures = np.tile([0.1, 0.05, 0.0], (300, 1)), np.full((300, 1), 2e4)
+    motion = sr.simulate(scene, 0.02, tensions, pressures)
+    rest = sr.solve_static(scene, tensions[0], pressures[0])
+    np.testing.assert_allclose(motion.tip_positions[-1], rest.tip_position, atol=1e-8)
+    np.testing.assert_allclose(motion.positions[-1], rest.positions, atol=1e-8)
+    np.testing.assert_allclose(motion.strains[-1], rest.strains, atol=1e-5)
+    # And a motion that starts there stays there.
+    still = sr.simulate(scene, 0.02, tensions[:5], pressures[:5], initial=rest)
+    np.testing.assert_allclose(still.tip_positions, jnp.tile(rest.tip_position, (6, 1)), atol=1e-9)
+
+
+def test_tip_velocity_is_the_rate_of_the_tip():
+    scene = sr.hybrid_robot(gravity=jnp.array([-9.81, 0.0, 0.0]))
+    motion = sr.simulate(scene, 1e-3, steps=200)
+    rate = np.gradient(np.array(motion.tip_positions), 1e-3, axis=0)
+    error = np.abs(rate - np.array(motion.tip_velocities))[2:-1].max()
+    assert error < 2e-3 * np.abs(rate).max()
+
+
+def test_a_tension_without_equilibrium_is_reported():
+    scene = sr.hybrid_robot()
+    tensions = np.zeros((60, 3))
+    tensions[:, 0] = np.linspace(0, 4.0, 60)
+    motion = sr.simulate(scene, 0.02, tensions, throw=False)
+    assert int(motion.result) != 0
+    k = int(motion.failed_step)
+    assert 0 < k < 60
+    assert np.all(np.isfinite(motion.tip_positions))
+    np.testing.assert_array_equal(motion.tip_positions[k + 1 :], motion.tip_positions[k : -1])
+    with pytest.raises(sr.SolveError):
+        sr.simulate(scene, 0.02, tensions)
+
+
+def test_batch_equals_loop_and_a_bad_sample_spoils_nothing():
+    scene = sr.hybrid_robot()
+    tensions = np.zeros((3, 20, 3))
+    tensions[0, :, 0], tensions[1, :, 1], tensions[2, 10:, 2] = 0.1, np.nan, 0.2
+
+    def run(tau, E):
+        return sr.simulate(with_(scene, young_modulus=E), 0.01, tau, throw=False)
+
+    batch = jax.vmap(run, in_axes=(0, None))(jnp.array(tensions), 5e4)
+    assert batch.result.tolist() == [0, sr.RESULTS.bad_input, 0]
+    assert batch.failed_step.tolist() == [-1, 0, -1]
+    for i in (0, 2):
+        one = run(tensions[i], 5e4)
+        np.testing.assert_allclose(batch.tip_positions[i], one.tip_positions, atol=1e-12)
+
+    def loss(E):
+        motion = jax.vmap(run, in_axes=(0, None))(jnp.array(tensions), E)
+        tip = motion.tip_positions[:, -1]
+        return jnp.sum(jnp.where(motion.result[:, None] == 0, tip**2, 0.0))
+
+    good = lambda E: sum(jnp.sum(run(tensions[i], E).tip_positions[-1] ** 2) for i in (0, 2))
+    np.testing.assert_allclose(jax.grad(loss)(5e4), jax.grad(good)(5e4), rtol=1e-8)
+
+
+@pytest.mark.parametrize(
+    "arguments, words",
+    [
+        (dict(dt=0.0, steps=3), "dt"),
+        (dict(dt=-1.0, steps=3), "dt"),
+        (dict(dt=0.01), "steps"),
+        (dict(dt=0.01, steps=0), "steps"),
+        (dict(dt=0.01, steps=3, tensions=np.zeros((4, 3))), "disagree"),
+        (dict(dt=0.01, tensions=np.zeros((4, 2))), "shape"),
+        (dict(dt=0.01, tensions=np.zeros(3)), "shape"),
+        (dict(dt=0.01, tensions=-np.ones((4, 3))), "negative"),
+        (dict(dt=0.01, pressures=np.full((4, 1), np.inf)), "finite"),
+    ],
+)
+def test_bad_arguments(arguments, words):
+    with pytest.raises(ValueError, match=words):
+        sr.simulate(sr.hybrid_robot(), **arguments)

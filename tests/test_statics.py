@@ -1,0 +1,162 @@
+"""Static equilibria against closed forms, published problems and independent solutions."""
+
+import json
+from pathlib import Path
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from problems import CLOSED_FORMS
+
+import softrod_jax as sr
+
+SHARED = Path(__file__).parents[2] / "shared" / "reference"
+FINE = [sr.Collocation(40), sr.Collocation(16, order=6)]
+
+
+@pytest.mark.parametrize("method", FINE, ids=["order4", "order6"])
+@pytest.mark.parametrize("problem", CLOSED_FORMS, ids=str)
+def test_closed_forms(problem, method):
+    solution = sr.solve_static(problem.scene, problem.tensions, problem.pressures, method=method)
+    np.testing.assert_allclose(solution.tip_position, problem.tip, atol=problem.tolerance)
+    assert bool(solution.stats["stable"])
+
+
+@pytest.mark.parametrize("order", [4, 6])
+def test_order_of_convergence(order):
+    gravity = jnp.array([-4.0, 2.0, 1.0])
+    scene = sr.hybrid_robot(gravity=gravity)
+    tips = {
+        n: sr.solve_static(
+            scene, (0.1, 0.02, 0.0), method=sr.Collocation(n, order)
+        ).tip_position
+        for n in ((6, 12, 48) if order == 4 else (3, 6, 24))
+    }
+    coarse, middle, fine = tips.values()
+    ratio = np.linalg.norm(coarse - fine) / np.linalg.norm(middle - fine)
+    assert ratio > 0.7 * 2**order
+
+
+def _reference_cases():
+    path = SHARED / "static.json"
+    if not path.exists():
+        return []
+    return [c for c in json.loads(path.read_text())["cases"]]
+
+
+@pytest.mark.skipif(not _reference_cases(), reason="shared/reference/static.json is absent")
+def test_independent_solutions():
+    """Every case, at default settings, within 1e-6 m."""
+    for case in _reference_cases():
+        gravity = jnp.array(case["gravity"]) if any(case["gravity"]) else None
+        solution = sr.solve_static(
+            sr.hybrid_robot(gravity=gravity), case["tau_N"], [case["P_Pa"]], throw=False
+        )
+        if case["status"] == "no smooth equilibrium":
+            assert int(solution.result) == sr.RESULTS.no_equilibrium, case["name"]
+        else:
+            assert int(solution.result) == sr.RESULTS.successful, case["name"]
+            error = np.abs(solution.tip_position - np.array(case["tip"])).max()
+            assert error < 1e-6, (case["name"], error)
+
+
+def test_no_equilibrium_is_an_error_that_says_so():
+    with pytest.raises(sr.SolveError, match="tendon path"):
+        sr.solve_static(sr.hybrid_robot(), tensions=(3.0, 0.0, 0.0))
+
+
+def test_a_column_past_buckling():
+    """Upright, over its critical weight: raised with a tendon, it falls to the tendon's side."""
+    scene = sr.hybrid_robot(gravity=jnp.array([0.0, 0.0, -9.81]))
+    straight = sr.solve_static(scene, (0.0, 0.0, 0.0))
+    assert not bool(straight.stats["stable"])
+    np.testing.assert_allclose(straight.tip_position[:2], 0.0, atol=1e-12)
+    for tension in (0.001, 0.1, 0.3):
+        bent = sr.solve_static(scene, (tension, 0.0, 0.0))
+        assert bool(bent.stats["stable"])
+        assert float(bent.tip_position[0]) > 0.02
+
+
+def test_every_symmetry_of_three_tendons():
+    """The tendons stand at 120 degrees: permuting the tensions turns the answer."""
+    scene = sr.hybrid_robot()
+    turn = np.array([[-0.5, -np.sqrt(0.75), 0], [np.sqrt(0.75), -0.5, 0], [0, 0, 1]])
+    a = sr.solve_static(scene, (0.3, 0.1, 0.0), (2e4,)).tip_position
+    b = sr.solve_static(scene, (0.0, 0.3, 0.1), (2e4,)).tip_position
+    np.testing.assert_allclose(turn @ a, b, atol=1e-13)
+
+
+def test_turning_the_base_turns_the_answer():
+    base = sr.hybrid_robot(gravity=jnp.array([-3.0, 1.0, 2.0]))
+    h = jnp.array([0.8, 0.2, -0.4, 0.4])
+    from softrod_jax.rotations import rotation_matrix, to_base
+
+    turned = sr.Scene(
+        **{
+            **vars(base),
+            "gravity": to_base(h, base.gravity),
+            "base_quaternion": h,
+            "base_position": jnp.array([1.0, 2.0, 3.0]),
+        }
+    )
+    a = sr.solve_static(base, (0.1, 0.0, 0.05))
+    b = sr.solve_static(turned, (0.1, 0.0, 0.05))
+    expected = a.positions @ rotation_matrix(h).T + jnp.array([1.0, 2.0, 3.0])
+    np.testing.assert_allclose(b.positions, expected, atol=1e-9)
+
+
+def test_batch_equals_loop_and_a_bad_sample_spoils_nothing():
+    scene = sr.hybrid_robot()
+    tensions = jnp.array([[0.1, 0.0, 0.0], [3.0, 0.0, 0.0], [0.5, 0.2, 0.0], [-1.0, 0, 0]])
+
+    def solve(tau):
+        return sr.solve_static(scene, tau, throw=False)
+
+    batch = jax.vmap(solve)(tensions)
+    assert batch.result.tolist() == [0, 1, 0, 4]
+    for i in (0, 2):
+        one = sr.solve_static(scene, tensions[i])
+        np.testing.assert_allclose(batch.tip_position[i], one.tip_position, atol=1e-14)
+
+    def loss(E):
+        s = jax.vmap(lambda tau: sr.solve_static(
+            sr.Scene(**{**vars(scene), "young_modulus": E}), tau, throw=False))(tensions)
+        return jnp.sum(jnp.where(s.result[:, None] == 0, s.tip_position**2, 0.0))
+
+    def loss_of_good(E):
+        s = jax.vmap(lambda tau: sr.solve_static(
+            sr.Scene(**{**vars(scene), "young_modulus": E}), tau, throw=False))(tensions[::2])
+        return jnp.sum(s.tip_position**2)
+
+    with_bad, without = jax.grad(loss)(5e4), jax.grad(loss_of_good)(5e4)
+    np.testing.assert_allclose(with_bad, without, rtol=1e-10)
+
+
+def test_errors_are_raised_under_jit_too():
+    scene = sr.hybrid_robot()
+    with pytest.raises(Exception, match="tendon path"):
+        jax.block_until_ready(
+            jax.jit(lambda tau: sr.solve_static(scene, tau).tip_position)(jnp.array([3.0, 0, 0]))
+        )
+
+
+@pytest.mark.parametrize(
+    "tensions, pressures, words",
+    [
+        ((0.1, 0.2), None, "shape"),
+        ((0.1, 0.2, -0.3), None, "negative"),
+        ((0.1, 0.2, np.nan), None, "finite"),
+        (None, (1.0, 2.0), "shape"),
+        (None, 1.0, "shape"),
+    ],
+)
+def test_bad_inputs(tensions, pressures, words):
+    with pytest.raises(ValueError, match=words):
+        sr.solve_static(sr.hybrid_robot(), tensions, pressures)
+
+
+def test_inputs_without_an_actuator():
+    scene = sr.Scene(**{**vars(sr.hybrid_robot()), "tendons": None})
+    with pytest.raises(ValueError, match="no tendons"):
+        sr.solve_static(scene, (1.0,))

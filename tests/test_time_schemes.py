@@ -1,0 +1,106 @@
+"""Time schemes on scalar equations whose answers are known: order, damping, restarts."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import softrod_jax as sr
+from softrod_jax.time_schemes import jumps
+
+
+def integrate(scheme, matrix, y0, dt, steps, start_is_jump=True):
+    """y_t = matrix y by `scheme`; every implicit stage solved exactly."""
+
+    def solve(c0, history, carry):
+        return jnp.linalg.solve(matrix - c0 * jnp.eye(len(y0)), history), carry
+
+    restart = jnp.zeros(steps, bool).at[0].set(start_is_jump)
+
+    def step(memory, coefficients):
+        memory, _ = scheme.step(memory, coefficients, solve, 0)
+        return memory, memory[0]
+
+    _, y = jax.lax.scan(step, scheme.start(y0), scheme.coefficients(jnp.array(dt), restart))
+    return y
+
+
+@pytest.mark.parametrize(
+    "scheme, order",
+    [
+        (sr.BDFAlpha(alpha=0.0), 2),
+        (sr.BDFAlpha(alpha=-0.2), 2),
+        (sr.BDFAlpha(alpha=-0.45), 2),
+        (sr.BDFAlpha(alpha=-0.5), 2),
+        (sr.SDIRK(order=2), 2),
+        (sr.SDIRK(order=3), 3),
+        (sr.SDIRK(order=4), 4),
+    ],
+    ids=str,
+)
+def test_order(scheme, order):
+    matrix, y0 = jnp.array([[-0.1, 3.0], [-3.0, -0.2]]), jnp.array([1.0, 0.5])
+    exact = jax.scipy.linalg.expm(matrix) @ y0
+    errors = [
+        float(jnp.abs(integrate(scheme, matrix, y0, 1 / n, n)[-1] - exact).max())
+        for n in (40, 80, 160)
+    ]
+    observed = np.log2(np.array(errors[:-1]) / errors[1:])
+    assert np.all(observed > order - 0.25), observed
+    assert scheme.order == order
+
+
+@pytest.mark.parametrize(
+    "alpha, zeta",
+    [
+        (0.0, (2.45e-4, 1.84e-3, 2.06e-2)),
+        (-0.2, (1.18e-4, 9.1e-4, 1.12e-2)),
+        (-0.48, (5e-6, 4e-5, 5.8e-4)),
+        (-0.5, (0.0, 0.0, 0.0)),
+    ],
+)
+def test_numerical_damping_of_bdf_alpha(alpha, zeta):
+    """An undamped oscillator loses amplitude at the damping ratio the scheme adds."""
+    oscillator = jnp.array([[0.0, 1.0], [-1.0, 0.0]])
+    for dt, expected in zip((0.1, 0.2, 0.5), zeta, strict=True):
+        steps = int(400 / dt)
+        y = integrate(sr.BDFAlpha(alpha=alpha), oscillator, jnp.array([1.0, 0.0]), dt, steps)
+        amplitude = np.linalg.norm(y, axis=1)
+        first, last = int(40 / dt), steps - 1
+        phase = np.unwrap(np.arctan2(-y[:, 1], y[:, 0]))
+        measured = -np.log(amplitude[last] / amplitude[first]) / (phase[last] - phase[first])
+        np.testing.assert_allclose(measured, expected, rtol=0.12, atol=1e-8)
+
+
+def test_a_restart_keeps_second_order_after_a_jump():
+    """y_t = A y + b switched on at t = 0: the history before the jump knows nothing of b."""
+    matrix = jnp.array([[0.0, 1.0, 0.0], [-9.0, -0.1, 1.0], [0.0, 0.0, 0.0]])
+    y0 = jnp.array([0.0, 0.0, 1.0])
+    exact = jax.scipy.linalg.expm(matrix) @ y0
+
+    def errors(restart):
+        return np.array([
+            float(jnp.abs(
+                integrate(sr.BDFAlpha(alpha=-0.2), matrix, y0, 1 / n, n, restart)[-1] - exact
+            ).max())
+            for n in (40, 80, 160)
+        ])
+
+    np.testing.assert_allclose(np.log2(errors(False)[:-1] / errors(False)[1:]), 1.0, atol=0.1)
+    np.testing.assert_allclose(np.log2(errors(True)[:-1] / errors(True)[1:]), 2.0, atol=0.15)
+
+
+def test_jumps():
+    step = np.r_[np.zeros(5), np.ones(5)][:, None]
+    assert jumps(jnp.array(step)).tolist() == [True] + [False] * 4 + [True] + [False] * 4
+    ramp = np.clip(np.arange(20) - 5, 0, 8)[:, None] / 8.0
+    assert jumps(jnp.array(ramp)).tolist() == [True] + [False] * 19
+    assert jumps(jnp.ones((3, 2))).tolist() == [True, False, False]
+    both = np.hstack([ramp, np.roll(step, 3).repeat(2, 0)])
+    assert int(jumps(jnp.array(both)).sum()) >= 2
+
+
+@pytest.mark.parametrize("bad", [lambda: sr.BDFAlpha(alpha=0.1), lambda: sr.SDIRK(order=5)])
+def test_bad_schemes(bad):
+    with pytest.raises(ValueError, match="alpha|order"):
+        bad()
