@@ -20,6 +20,7 @@ from softrod_jax.sections import Annulus as Annulus
 from softrod_jax.sections import Circle as Circle
 from softrod_jax.sections import GeneralSection as GeneralSection
 from softrod_jax.sections import Rectangle as Rectangle
+from softrod_jax.shooting import Shooting as Shooting
 from softrod_jax.statics import StaticSolution as StaticSolution
 from softrod_jax.statics import solve_static as solve_static
 from softrod_jax.time_schemes import SDIRK as SDIRK

@@ -46,12 +46,14 @@ _FORMULAS = {
 class Collocation(Method):
     """Mono-implicit Runge-Kutta collocation on `intervals` equal intervals.
 
-    `order` 4 (Hermite-Simpson) or 6. Raises `ValueError` for any other order, or fewer than
+    `order` 4 (Hermite-Simpson) or 6. The default, 12 intervals of order 6, was measured against
+    20 of order 4: a quarter of the error or less (statics under gravity and curls of several
+    turns, the paper's rod), in the same time or less. Raises `ValueError` for any other order, or fewer than
     one interval.
     """
 
-    intervals: int = eqx.field(static=True, default=20)
-    order: int = eqx.field(static=True, default=4)
+    intervals: int = eqx.field(static=True, default=12)
+    order: int = eqx.field(static=True, default=6)
 
     def __check_init__(self):
         if self.order not in _FORMULAS:

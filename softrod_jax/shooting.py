@@ -33,7 +33,7 @@ class Shooting(Method):
       all steps; in between, a time step's history is interpolated by polynomials through the 6
       nearest ends (all of them, if there are fewer). A solver of order above 6 gains nothing.
     - `solver`: any `diffrax.AbstractSolver` of ordinary differential equations. An implicit one
-      needs tolerances: `Kvaerno3(root_finder=diffrax.VeryChord(rtol=1e-10, atol=1e-10))`.
+      needs a root finder of optimistix: `Kvaerno3(root_finder=optimistix.Newton(1e-9, 1e-9))`.
     - `stepsize_controller`: with `diffrax.PIDController` each of the steps is divided further
       as its tolerances ask for, into at most `max_substeps`; they are relative to the sizes of
       a bent rod's forces, moments and velocities. Slow to compile.

@@ -136,14 +136,17 @@ def test_a_long_motion_ends_in_the_equilibrium():
     scene = with_(
         sr.hybrid_robot(gravity=jnp.array([-9.81, 2.0, 0.0])), bending_damping=5e-6
     )
+    bdf2 = sr.BDFAlpha(alpha=0.0)  # damps the axial waves, which have no damping of their own
     tensions, pressures = np.tile([0.1, 0.05, 0.0], (300, 1)), np.full((300, 1), 2e4)
-    motion = sr.simulate(scene, 0.02, tensions, pressures)
+    motion = sr.simulate(scene, 0.02, tensions, pressures, scheme=bdf2)
     rest = sr.solve_static(scene, tensions[0], pressures[0])
     np.testing.assert_allclose(motion.tip_positions[-1], rest.tip_position, atol=1e-8)
     np.testing.assert_allclose(motion.positions[-1], rest.positions, atol=1e-8)
     np.testing.assert_allclose(motion.strains[-1], rest.strains, atol=1e-5)
     # And a motion that starts there stays there.
-    still = sr.simulate(scene, 0.02, tensions[:5], pressures[:5], initial=rest)
+    still = sr.simulate(
+        scene, 0.02, tensions[:5], pressures[:5], initial=rest, scheme=bdf2
+    )
     np.testing.assert_allclose(still.tip_positions, jnp.tile(rest.tip_position, (6, 1)), atol=1e-9)
 
 

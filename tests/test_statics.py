@@ -12,7 +12,7 @@ from problems import CLOSED_FORMS
 import softrod_jax as sr
 
 SHARED = Path(__file__).parents[2] / "shared" / "reference"
-FINE = [sr.Collocation(40), sr.Collocation(16, order=6)]
+FINE = [sr.Collocation(40, order=4), sr.Collocation(16, order=6)]
 
 
 @pytest.mark.parametrize("method", FINE, ids=["order4", "order6"])

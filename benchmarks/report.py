@@ -1,0 +1,46 @@
+"""What the benchmarks share: the machine's name, tables, and their place in the README."""
+
+import os
+import platform
+import sys
+from importlib.metadata import version
+from pathlib import Path
+
+README = Path(__file__).parents[1] / "README.md"
+
+
+def machine() -> str:
+    """One line: processor, cores and versions."""
+    packages = ", ".join(f"{name} {version(name)}" for name in ("jax", "jaxlib", "numpy"))
+    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
+    return f"{_processor()}, {cores} cores, Python {platform.python_version()}, {packages}"
+
+
+def _processor() -> str:
+    try:
+        for line in Path("/proc/cpuinfo").read_text().splitlines():
+            if line.startswith("model name"):
+                return line.split(":", 1)[1].strip()
+    except OSError:
+        pass  # not Linux
+    return platform.processor() or platform.machine()
+
+
+def table(header: list[str], rows: list[list[str]]) -> str:
+    """A markdown table."""
+    lines = [header, ["---"] * len(header), *rows]
+    return "\n".join("| " + " | ".join(line) + " |" for line in lines)
+
+
+def publish(name: str, text: str) -> None:
+    """Print `text`; with --write-readme put it between the README's markers of this name."""
+    print(text)
+    if "--write-readme" not in sys.argv[1:]:
+        return
+    begin, end = f"<!-- {name}: begin -->\n", f"\n<!-- {name}: end -->"
+    readme = README.read_text(encoding="utf-8")
+    if readme.count(begin) != 1 or readme.count(end) != 1:
+        raise ValueError(f"{README}: the markers {begin.strip()} and {end.strip()} are needed once")
+    before, rest = readme.split(begin)
+    _, after = rest.split(end)
+    README.write_text(f"{before}{begin}{text}{end}{after}", encoding="utf-8")

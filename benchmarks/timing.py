@@ -1,0 +1,101 @@
+"""Times of a static solve, of a step of a motion and of gradients, with and without tendons.
+
+    python benchmarks/timing.py [--write-readme]
+
+The robot of `softrod_jax.hybrid_robot` under transverse gravity, at default settings; with
+tendons, one of the three pulls with 0.1 N. Medians of interleaved repeats. Compilation is
+measured apart, with JAX's cache of compiled programs switched off.
+"""
+
+import time
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from report import machine, publish, table
+
+import softrod_jax as sr
+
+REPEATS = 7
+STEPS = 200
+DT = 5e-3  # s
+FITTED = ("young_modulus", "bending_damping", "drag_coefficient")
+
+
+def with_values(scene, values):
+    """The scene with the `FITTED` parameters at `values`."""
+    pick = lambda s: [getattr(s, name) for name in FITTED]
+    return eqx.tree_at(pick, scene, list(values))
+
+
+def programs(tension: bool):
+    """{what is measured: (function of (E, B_bt, C), solves or steps it makes)}."""
+    scene = sr.hybrid_robot(gravity=jnp.array([-9.81, 0.0, 0.0]))
+    values = jnp.array([getattr(scene, name) for name in FITTED])
+    one = jnp.array([0.1, 0.0, 0.0]) if tension else None
+    many = jnp.tile(one, (STEPS, 1)) if tension else None
+    steps = None if tension else STEPS
+
+    def static(values):
+        return sr.solve_static(with_values(scene, values), one, throw=False).tip_position
+
+    def motion(values):
+        moved = with_values(scene, values)
+        return sr.simulate(moved, DT, many, steps=steps, throw=False).tip_positions
+
+    def loss(of):
+        return lambda values: jnp.sum(of(values) ** 2)
+
+    return values, {
+        "static solve": (static, 1),
+        "static solve and reverse gradient": (jax.value_and_grad(loss(static)), 1),
+        "step": (motion, STEPS),
+        "step and reverse gradient": (jax.value_and_grad(loss(motion)), STEPS),
+        "step and forward Jacobian": (jax.jacfwd(motion), STEPS),
+    }
+
+
+def measure():
+    """{(what, with tendons): (time [s] per solve or step, time to compile [s])}."""
+    compiled, compile_time, samples = {}, {}, {}
+    for tension in (False, True):
+        values, functions = programs(tension)
+        for what, (function, count) in functions.items():
+            begin = time.perf_counter()
+            program = jax.jit(function).lower(values).compile()
+            key = (what, tension)
+            compile_time[key] = time.perf_counter() - begin
+            compiled[key] = (program, values, count)
+            jax.block_until_ready(program(values))
+    # Interleaved, so that a slow moment of the machine does not fall on one program alone.
+    for _ in range(REPEATS):
+        for key, (program, values, count) in compiled.items():
+            begin = time.perf_counter()
+            jax.block_until_ready(program(values))
+            samples.setdefault(key, []).append((time.perf_counter() - begin) / count)
+    return {key: (np.median(samples[key]), compile_time[key]) for key in compiled}
+
+
+def milliseconds(seconds) -> str:
+    return f"{1e3 * seconds:.2g}" if seconds < 0.1 else f"{1e3 * seconds:.0f}"
+
+
+def main() -> None:
+    measured = measure()
+    rows = [
+        [
+            what,
+            *(milliseconds(measured[what, tension][0]) for tension in (False, True)),
+            *(f"{measured[what, tension][1]:.1f}" for tension in (False, True)),
+        ]
+        for what in dict.fromkeys(what for what, _ in measured)
+    ]
+    header = ["", "no tendons [ms]", "tendons [ms]", "compile [s]", "compile, tendons [s]"]
+    publish("timing", f"{table(header, rows)}\n\n{machine()}.")
+
+
+if __name__ == "__main__":
+    jax.config.update("jax_enable_x64", True)
+    jax.config.update("jax_enable_compilation_cache", False)
+    main()

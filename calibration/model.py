@@ -1,0 +1,266 @@
+"""Recordings as one batch of arrays, and the simulated tip at the times of their samples.
+
+Each recording has a clock, and the simulation has its own: it starts at `origin + delay` of the
+recording. The origin is the best guess beforehand; the delay is fitted. The simulated tip is
+interpolated in time, so that it is a smooth function of the delay.
+"""
+
+import math
+from dataclasses import dataclass
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float, Int
+
+import softrod_jax as sr
+from calibration.onset import detect_onset
+from calibration.recording import Recording, RecordingError
+from calibration.selection import Selection, input_onset
+
+# The scheme and grid of fits. An order 4 in time at 10 ms shifts the modulus of a 100 mm silicone
+# beam ringing at 8 Hz by 0.01 %; BDF-alpha at 5 ms costs more and shifts it by 0.8 %, and the
+# damping by 4 %.
+SCHEME = sr.SDIRK(order=4)
+METHOD = sr.Collocation(intervals=6, order=6)
+LARGEST_DT = 0.01
+# A delay is sought this far around its first guess: so many samples, or seconds if that is more.
+_DELAY_SAMPLES = 10
+_DELAY_SECONDS = 0.1
+# A tip that begins further from the straight rod's than this part of the length hangs there.
+_HANGING_PART = 0.02
+
+
+class Batch(eqx.Module):
+    """Recordings, padded to the same lengths: all of them run through one compiled program.
+
+    - `dt` [s], (recordings,). `tensions` [N], (recordings, steps + 1, tendons), `pressures`
+      [Pa], (recordings, steps + 1, chambers): row 0 at the start, row k + 1 acts in step k.
+    - `times` [s], (recordings, samples), from the origin; `tip` [m], (recordings, samples, 3),
+      zero where it is not `used`.
+    - `hanging`: the rod starts in equilibrium under the first inputs, not straight.
+    - `free_frame`: the recording does not know where the clamp is, nor its axes quite.
+    """
+
+    dt: Float[Array, "recordings"]
+    tensions: Float[Array, "recordings rows tendons"] | None
+    pressures: Float[Array, "recordings rows chambers"] | None
+    times: Float[Array, "recordings samples"]
+    tip: Float[Array, "recordings samples 3"]
+    used: Bool[Array, "recordings samples 3"]
+    hanging: Bool[Array, "recordings"]
+    free_frame: Bool[Array, "recordings"]
+    steps: int = eqx.field(static=True)
+    any_hanging: bool = eqx.field(static=True)
+
+
+@dataclass(frozen=True)
+class Clock:
+    """How a recording's time relates to the simulation's, which starts at `origin` + delay.
+
+    All in s, the recording's clock; the delay is within `low` <= delay <= `high`. A time offset
+    as reported is `origin - zero + delay`.
+    """
+
+    origin: float
+    zero: float
+    low: float
+    high: float
+    dt: float
+    interval: float
+
+
+class Motion(eqx.Module):
+    """The simulated tip of one recording on the grid of time steps, (steps + 1, 3) each."""
+
+    positions: Float[Array, "rows 3"]
+    velocities: Float[Array, "rows 3"]
+    result: Int[Array, ""]
+
+
+def simulate_motion(scene: sr.Scene, batch: Batch, scheme, method) -> Motion:
+    """The motion of one recording of the batch (its arrays without the leading axis)."""
+    tensions, pressures = batch.tensions, batch.pressures
+    initial, start_result = None, jnp.zeros((), jnp.int32)
+    if batch.any_hanging:
+        first = [None if x is None else x[0] for x in (tensions, pressures)]
+        initial = sr.solve_static(scene, *first, method=method, throw=False)
+        start_result = jnp.where(batch.hanging, initial.result, 0)
+        strain = jnp.where(batch.hanging, initial.point_strains, _rest_strain(scene))
+        initial = eqx.tree_at(lambda i: i.point_strains, initial, strain)
+    rest = lambda x: None if x is None else x[1:]
+    trajectory = sr.simulate(
+        scene,
+        batch.dt,
+        rest(tensions),
+        rest(pressures),
+        steps=batch.steps,
+        initial=initial,
+        scheme=scheme,
+        method=method,
+        throw=False,
+    )
+    result = jnp.where(start_result != 0, start_result, trajectory.result)
+    return Motion(trajectory.tip_positions, trajectory.tip_velocities, result)
+
+
+def _rest_strain(scene):
+    v = jnp.array([0.0, 0.0, 1.0]) if scene.rest_stretch is None else scene.rest_stretch
+    u = jnp.zeros(3) if scene.rest_curvature is None else scene.rest_curvature
+    return jnp.concatenate([v, u])
+
+
+def tip_at(motion: Motion, dt, times: Float[Array, "samples"]) -> Float[Array, "samples 3"]:
+    """The tip at `times` [s] of the simulation, by cubic Hermite interpolation.
+
+    Before the start it is where it starts; at the start its velocity is zero, so that the tip
+    is a smooth function of time. After the end it is where it ends.
+    """
+    last = motion.positions.shape[0] - 1
+    x = jnp.clip(times / dt, 0, last)
+    k = jnp.clip(jnp.floor(jax.lax.stop_gradient(x)).astype(int), 0, last - 1)
+    u = (x - k)[:, None]
+    p0, p1 = motion.positions[k], motion.positions[k + 1]
+    v0, v1 = dt * motion.velocities[k], dt * motion.velocities[k + 1]
+    change = u * u * (3 - 2 * u) * (p1 - p0)
+    return p0 + change + u * (1 - u) * ((1 - u) * v0 - u * v1)
+
+
+def make_batch(
+    scene: sr.Scene,
+    recordings: list[Recording],
+    selections: list[Selection],
+    time_offset: bool,
+    dt: float | None,
+    scheme,
+    steps: int | None = None,
+) -> tuple[Batch, list[Clock]]:
+    """The recordings as arrays, and their clocks; `steps` if more than needed are wanted.
+
+    Raises `RecordingError` if a release cannot be seen in a recording and `time_offset` is
+    asked for, or if inputs do not fit the scene; `ValueError` for a bad `dt`.
+    """
+    for recording in recordings:
+        _check_inputs(scene, recording)
+    clocks = [_clock(scene, r, time_offset, dt) for r in recordings]
+    needed = max(
+        math.ceil((s.end - c.origin - c.low) / c.dt - 1e-9)
+        for s, c in zip(selections, clocks, strict=True)
+    )
+    steps = max(needed, 2) if steps is None else steps
+    kept = [
+        (r.times >= s.start) & (r.times <= s.end)
+        for r, s in zip(recordings, selections, strict=True)
+    ]
+    shape = (len(recordings), max(int(np.sum(k)) for k in kept))
+    times, tip = np.zeros(shape), np.zeros((*shape, 3))
+    used = np.zeros((*shape, 3), dtype=bool)
+    for i, (r, c, k) in enumerate(zip(recordings, clocks, kept, strict=True)):
+        n = int(np.sum(k))
+        measured = r.tip_positions[k]
+        times[i, :n] = r.times[k] - c.origin
+        used[i, :n] = np.isfinite(measured)
+        tip[i, :n] = np.nan_to_num(measured)
+    hanging = np.array([_hangs(scene, r) for r in recordings])
+    tensions, pressures = (
+        _inputs([getattr(r, name) for r in recordings], recordings, clocks, steps, scheme)
+        for name in ("tensions", "pressures")
+    )
+    batch = Batch(
+        dt=jnp.array([c.dt for c in clocks]),
+        tensions=tensions,
+        pressures=pressures,
+        times=jnp.array(times),
+        tip=jnp.array(tip),
+        used=jnp.array(used),
+        hanging=jnp.array(hanging),
+        free_frame=jnp.array([not r.origin_known for r in recordings]),
+        steps=steps,
+        any_hanging=bool(np.any(hanging)),
+    )
+    return batch, clocks
+
+
+def _check_inputs(scene, recording):
+    where = recording.source or recording.name
+    for name, part, actuators in (
+        ("tensions", "tendons", scene.tendons),
+        ("pressures", "chambers", scene.chambers),
+    ):
+        inputs = getattr(recording, name)
+        count = 0 if actuators is None else actuators.count
+        if inputs is not None and inputs.shape[1] != count:
+            raise RecordingError(
+                f"{where}: {inputs.shape[1]} columns of {name}, and the scene has {count} {part}; "
+                "one column each is needed"
+            )
+
+
+def _clock(scene, recording: Recording, time_offset: bool, dt: float | None) -> Clock:
+    times = recording.times
+    interval = float(np.median(np.diff(times)))
+    if dt is None:
+        # A whole number of steps a sample, or of samples a step: samples fall on the grid.
+        samples = math.floor(LARGEST_DT / interval + 1e-6)
+        dt = interval * samples if samples else interval / math.ceil(interval / LARGEST_DT)
+    elif not (np.isfinite(dt) and dt > 0):
+        raise ValueError(f"dt={dt!r} s: a positive number is needed")
+    begin = float(times[0])
+    if not time_offset:
+        return Clock(begin, 0.0 if _released(recording) else begin, 0.0, 0.0, dt, interval)
+    margin = max(_DELAY_SAMPLES * interval, _DELAY_SECONDS)
+    onset = detect_onset(recording)
+    if _released(recording):
+        return Clock(onset, 0.0, -margin, margin, dt, interval)
+    # The inputs have a clock, and the tip's may be late or early. What moves the rod first is a
+    # load that acts from the start, or an input: whichever asks for less.
+    guess = min((onset - begin, onset - input_onset(recording)), key=abs)
+    low, high = min(guess, 0.0) - margin, max(guess, 0.0) + margin
+    return Clock(begin + guess, begin, low - guess, high - guess, dt, interval)
+
+
+def _released(recording: Recording) -> bool:
+    return recording.tensions is None and recording.pressures is None
+
+
+def _hangs(scene, recording: Recording) -> bool:
+    """Whether the rod begins in equilibrium under its loads and not straight.
+
+    Told by the first sample of the tip: a rod that is let go begins straight.
+    """
+    if _released(recording) or not np.any(recording.has_tip):
+        return False
+    first = recording.tip_positions[recording.has_tip][0]
+    return bool(np.linalg.norm(first - straight_tip(scene)) > _HANGING_PART * scene.length)
+
+
+def straight_tip(scene) -> np.ndarray:
+    """The tip [m] of the unloaded rod, (3,), if it is straight."""
+    tip = np.array([0.0, 0.0, float(scene.length)])
+    if scene.base_quaternion is not None:
+        w, *xyz = np.asarray(scene.base_quaternion)
+        tip = tip + 2 * np.cross(xyz, np.cross(xyz, tip) + w * tip)
+    return tip if scene.base_position is None else tip + np.asarray(scene.base_position)
+
+
+def _inputs(inputs, recordings, clocks, steps, scheme):
+    """(recordings, steps + 1, channels): inputs at the start and in each step, from the logs.
+
+    Between rows of a log inputs change linearly; after its end they stay. None if no recording
+    has any; a recording without has zeros.
+    """
+    channels = next((x.shape[1] for x in inputs if x is not None), None)
+    if channels is None:
+        return None
+    # BDF-alpha balances forces at the end of a step. A Runge-Kutta scheme takes an input as
+    # constant throughout, and its value in the middle stands for all: the one at the end would
+    # come half a step early, which a fit takes for a delay of the clock.
+    part = 1.0 if isinstance(scheme, sr.BDFAlpha) else 0.5
+    steps_done = np.append(0.0, np.arange(steps) + part)
+    grid = np.zeros((len(inputs), steps + 1, channels))
+    for i, (x, r, c) in enumerate(zip(inputs, recordings, clocks, strict=True)):
+        if x is not None:
+            at = r.times[0] + c.dt * steps_done
+            grid[i] = np.stack([np.interp(at, r.times, column) for column in x.T], axis=1)
+    return jnp.array(grid)

@@ -1,0 +1,195 @@
+"""`write_report`: a fit as files that can be read, by people and by programs."""
+
+import base64
+import json
+from html import escape
+from os import PathLike
+from pathlib import Path
+
+import numpy as np
+
+import softrod_jax as sr
+from calibration.fit import Estimate, Fit
+from calibration.plots import write_plots
+from calibration.remarks import remarks
+
+
+def write_report(fit: Fit, out_dir: str | PathLike) -> Path:
+    """Write the fit into the directory `out_dir`, made if it is not there; returns its path.
+
+    - `parameters.json`: what `as_json` gives.
+    - `report.html`: the same for reading, with the plots inside.
+    - `scene.toml`: the scene with the fitted values.
+    - `fit_*.png`, `convergence.png`.
+
+    Raises `OSError` if a file cannot be written.
+    """
+    out = Path(out_dir)
+    out.mkdir(parents=True, exist_ok=True)
+    text = json.dumps(as_json(fit), indent=2, allow_nan=False)
+    (out / "parameters.json").write_text(text + "\n", encoding="utf-8")
+    sr.save_scene(fit.scene, out / "scene.toml")
+    pictures = write_plots(fit, out)
+    (out / "report.html").write_text(_html(fit, pictures), encoding="utf-8")
+    return out
+
+
+def as_json(fit: Fit) -> dict:
+    """The fit as plain numbers, lists and strings.
+
+    "parameters", by name: value, ci95 = [low, high] (null on a side without a bound), initial,
+    unit, identifiable, step_shift (relative change with a time step twice as long). "rmse_m" and
+    "time_offset_s", by recording; and how the fit was made.
+    """
+    return {
+        "result": fit.result,
+        "parameters": {
+            name: {
+                "value": _plain(e.value),
+                "ci95": [_plain(end) for end in e.ci95],
+                "initial": _plain(e.initial),
+                "unit": e.unit,
+                "identifiable": e.identifiable,
+                "step_shift": _plain(e.step_shift),
+            }
+            for name, e in fit.parameters.items()
+        },
+        "rmse_m": fit.rmse_m,
+        "rmse_axes_m": {r.name: _plain(r.rmse_axes) for r in fit.recordings},
+        "samples": {r.name: int(_sampled(r)) for r in fit.recordings},
+        "window_s": {r.name: [r.selection.start, r.selection.end] for r in fit.recordings},
+        "time_offset_s": fit.time_offset_s,
+        "time_offset_ci95_s": {r.name: _plain(r.time_offset_ci95) for r in fit.recordings},
+        "tip_offset_m": {r.name: _plain(r.tip_offset) for r in fit.recordings},
+        "frame_rotation_rad": {r.name: _plain(r.frame_rotation) for r in fit.recordings},
+        "correlation": _plain(fit.correlation),
+        "effective_samples": fit.effective_samples,
+        "optimiser": fit.optimiser,
+        "iterations": fit.iterations,
+        "evaluations": fit.evaluations,
+        "dt_s": fit.dt,
+        "seconds": fit.seconds,
+        "remarks": remarks(fit),
+    }
+
+
+def _plain(value):
+    """Lists and floats; None for what is absent or not a number."""
+    if value is None:
+        return None
+    array = np.asarray(value, dtype=float)
+    if array.ndim == 0:
+        return float(array) if np.isfinite(array) else None
+    return [_plain(x) for x in array]
+
+
+def _sampled(recording) -> int:
+    return np.sum(np.any(np.isfinite(recording.measured), axis=1))
+
+
+_STYLE = """
+body { font: 15px/1.5 system-ui, sans-serif; max-width: 60em; margin: 2em auto; padding: 0 1em; }
+table { border-collapse: collapse; margin: 1em 0; }
+th, td { border-bottom: 1px solid #ccc; padding: .3em .8em; text-align: right; }
+th:first-child, td:first-child { text-align: left; }
+img { max-width: 100%; } .no { color: #b00; } li { margin: .4em 0; } small { color: #555; }
+"""
+
+
+def _html(fit: Fit, pictures: dict[str, Path]) -> str:
+    parts = [
+        "<!doctype html><html lang='en'><meta charset='utf-8'><title>Calibration</title>",
+        f"<style>{_STYLE}</style><h1>Calibration</h1>",
+        f"<p>{_headline(fit)}</p>",
+        "<h2>Parameters</h2>",
+        _table(
+            ("parameter", "value", "95 % interval", "unit", "initial", "identified"),
+            [_row(name, e) for name, e in fit.parameters.items()],
+        ),
+        "<h2>Before you use them</h2><ul>",
+        *(f"<li>{escape(r)}</li>" for r in remarks(fit) or ["Nothing stands out."]),
+        "</ul><h2>Recordings</h2>",
+        _table(
+            ("recording", "rms [mm]", "x, y, z [mm]", "samples", "window [s]", "time offset [s]"),
+            [_recording_row(r) for r in fit.recordings],
+        ),
+        "<p><small>rms: root mean square distance between measured and simulated tip. "
+        "Time offset: for a release, when it happened on the recording's clock; with inputs, how "
+        "much later than the inputs the tip's clock says they began. Samples used: "
+        + "; ".join(sorted({escape(r.selection.rule) for r in fit.recordings}))
+        + ".</small></p>",
+    ]
+    for title, path in pictures.items():
+        data = base64.b64encode(path.read_bytes()).decode()
+        alt = escape(title, quote=True)
+        parts += [
+            f"<h2>{escape(title)}</h2>",
+            f"<img alt='{alt}' src='data:image/png;base64,{data}'>",
+        ]
+    if len(fit.parameters) > 1:
+        names = list(fit.parameters)
+        rows = [
+            (escape(name), *(f"{r:+.2f}" for r in row))
+            for name, row in zip(names, fit.correlation, strict=True)
+        ]
+        parts += ["<h2>Correlations</h2>", _table(("", *names), rows)]
+    parts += ["<h2>How it was made</h2>", f"<p>{_method(fit)}</p>", "</html>"]
+    return "\n".join(parts)
+
+
+def _headline(fit: Fit) -> str:
+    worst = max(fit.rmse_m.values())
+    many = "recording" if len(fit.recordings) == 1 else "recordings"
+    return (
+        f"{len(fit.recordings)} {many}; {escape(fit.result)}; the simulated tip is "
+        f"{1e3 * worst:.3g} mm rms from the measured one"
+        + (" in the worst of them." if len(fit.recordings) > 1 else ".")
+    )
+
+
+def _method(fit: Fit) -> str:
+    steps = ", ".join(f"{1e3 * dt:.3g} ms" for dt in sorted(set(fit.dt.values())))
+    return (
+        f"Coarse search, then {escape(fit.optimiser.replace('_', ' '))}: {fit.evaluations} "
+        f"simulations, {fit.seconds:.1f} s. Time step {steps}. Parameters were fitted as "
+        "logarithms, by least squares of the tip's distance. Intervals: linearised least squares, "
+        "noise estimated by recording and axis and widened for its correlation in time "
+        f"({fit.effective_samples:.0f} independent coordinates); bounds of parameters that are not "
+        "well determined were looked for by simulation."
+    )
+
+
+def _row(name: str, e: Estimate) -> tuple:
+    low, high = ("open" if end is None else _show(end) for end in e.ci95)
+    verdict = "yes" if e.identifiable else "<span class='no'>no</span>"
+    return (
+        escape(name),
+        _show(e.value),
+        f"{low} .. {high}",
+        escape("" if e.unit == "1" else e.unit),
+        _show(e.initial),
+        verdict,
+    )
+
+
+def _recording_row(r) -> tuple:
+    offset = f"{r.time_offset:.4f}"
+    if r.time_offset_ci95 is not None:
+        offset += f" &plusmn; {(r.time_offset_ci95[1] - r.time_offset_ci95[0]) / 2:.4f}"
+    return (
+        escape(r.name),
+        f"{1e3 * r.rmse:.3f}",
+        ", ".join(f"{1e3 * x:.3f}" for x in r.rmse_axes),
+        str(_sampled(r)),
+        f"{r.selection.start:.3f} .. {r.selection.end:.3f}",
+        offset,
+    )
+
+
+def _show(value) -> str:
+    return ", ".join(f"{x:.4g}" for x in np.ravel(value))
+
+
+def _table(head, rows) -> str:
+    line = lambda cells, tag: "<tr>" + "".join(f"<{tag}>{c}</{tag}>" for c in cells) + "</tr>"
+    return "<table>" + line(head, "th") + "".join(line(row, "td") for row in rows) + "</table>"
