@@ -44,14 +44,13 @@ def programs(tension: bool):
         moved = with_values(scene, values)
         return sr.simulate(moved, DT, many, steps=steps, throw=False).tip_positions
 
-    def loss(of):
-        return lambda values: jnp.sum(of(values) ** 2)
+    def loss(values):
+        return jnp.sum(motion(values) ** 2)
 
     return values, {
         "static solve": (static, 1),
-        "static solve and reverse gradient": (jax.value_and_grad(loss(static)), 1),
         "step": (motion, STEPS),
-        "step and reverse gradient": (jax.value_and_grad(loss(motion)), STEPS),
+        "step and reverse gradient": (jax.value_and_grad(loss), STEPS),
         "step and forward Jacobian": (jax.jacfwd(motion), STEPS),
     }
 

@@ -11,6 +11,10 @@ _HOME = {
     "load_recording": "calibration.recording",
     "write_log": "calibration.recording",
     "detect_onset": "calibration.onset",
+    "calibrate": "calibration.fit",
+    "CalibrationError": "calibration.fit",
+    "Fit": "calibration.fit",
+    "write_report": "calibration.report",
 }
 
 __all__ = list(_HOME)

@@ -246,18 +246,24 @@ def _estimates(problem: Problem, best: Point, known, shift) -> dict[str, Estimat
         def at(theta, parameter=parameter, initial=initial):
             return _plain(parameter.value(initial, theta)) if np.isfinite(theta) else None
 
-        moved = parameter.value(initial, best.x[i] + shift[i])
         value = parameter.value(initial, best.x[i])
-        relative = float(np.ravel(moved)[0] / np.ravel(value)[0] - 1) if shift[i] == shift[i] else None
+        moved = parameter.value(initial, best.x[i] + shift[i])
         out[name] = Estimate(
             value=_plain(value),
             ci95=(at(known.low[i]), at(known.high[i])),
             initial=_plain(initial),
             unit=parameter.unit,
             identifiable=bool(known.identifiable[i]),
-            step_shift=relative,
+            step_shift=_relative(moved, value),
         )
     return out
+
+
+def _relative(moved, value) -> float | None:
+    """(moved - value) / value, the same for all parts of a vector; None if it is not a number."""
+    largest = np.argmax(np.abs(np.ravel(value)))
+    change = float(np.ravel(moved)[largest] / np.ravel(value)[largest] - 1)
+    return change if np.isfinite(change) else None
 
 
 def _plain(value):

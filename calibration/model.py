@@ -25,6 +25,7 @@ from calibration.selection import Selection, input_onset
 SCHEME = sr.SDIRK(order=4)
 METHOD = sr.Collocation(intervals=6, order=6)
 LARGEST_DT = 0.01
+_PADDING = 16
 # A delay is sought this far around its first guess: so many samples, or seconds if that is more.
 _DELAY_SAMPLES = 10
 _DELAY_SECONDS = 0.1
@@ -136,7 +137,7 @@ def make_batch(
     scheme,
     steps: int | None = None,
 ) -> tuple[Batch, list[Clock]]:
-    """The recordings as arrays, and their clocks; `steps` if more than needed are wanted.
+    """The recordings as arrays, and their clocks; `steps` to have as many as another batch.
 
     Raises `RecordingError` if a release cannot be seen in a recording and `time_offset` is
     asked for, or if inputs do not fit the scene; `ValueError` for a bad `dt`.
@@ -148,12 +149,12 @@ def make_batch(
         math.ceil((s.end - c.origin - c.low) / c.dt - 1e-9)
         for s, c in zip(selections, clocks, strict=True)
     )
-    steps = max(needed, 2) if steps is None else steps
+    steps = _padded(needed) if steps is None else steps
     kept = [
         (r.times >= s.start) & (r.times <= s.end)
         for r, s in zip(recordings, selections, strict=True)
     ]
-    shape = (len(recordings), max(int(np.sum(k)) for k in kept))
+    shape = (len(recordings), _padded(max(int(np.sum(k)) for k in kept)))
     times, tip = np.zeros(shape), np.zeros((*shape, 3))
     used = np.zeros((*shape, 3), dtype=bool)
     for i, (r, c, k) in enumerate(zip(recordings, clocks, kept, strict=True)):
@@ -180,6 +181,11 @@ def make_batch(
         any_hanging=bool(np.any(hanging)),
     )
     return batch, clocks
+
+
+def _padded(count: int) -> int:
+    """Recordings of about the same length share a compiled program."""
+    return _PADDING * max(1, math.ceil(count / _PADDING))
 
 
 def _check_inputs(scene, recording):

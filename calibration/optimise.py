@@ -30,7 +30,8 @@ _STOP_WINDOW, _STOP_CHANGE = 25, 1e-4
 # Levenberg-Marquardt: converged when a full step promises less than this part of the loss, a
 # hundredth of a standard error or so for a few hundred samples.
 _PROMISE = 1e-6
-_LARGEST_STEP = 1.5
+_LARGEST_FALL = -0.8  # of a value, relative
+_LARGEST_DELAY_STEP = 3.0  # sample intervals
 _LARGEST_DAMPING = 1e10
 
 
@@ -167,12 +168,11 @@ def levenberg_marquardt(
         promise = -(2 * gradient @ step + step @ JJ @ step)
         if promise <= _PROMISE * point.loss and damping <= 1:
             return Outcome(point, "converged", k - 1)
-        largest = np.max(np.abs(step), initial=0.0)
-        step = step * min(1.0, _LARGEST_STEP / max(largest, 1e-300))
-        trial = problem.at(point.x + step)
-        report(trial)
+        step, x = _stepped(problem, point.x, step)
         promise = -(2 * gradient @ step + step @ JJ @ step)
-        gain = (point.loss - trial.loss) / promise if trial.ok else -1.0
+        trial = problem.at(x)
+        report(trial)
+        gain = (point.loss - trial.loss) / promise if trial.ok and promise > 0 else -1.0
         if gain > 0:
             # Nielsen (1999): the damping follows how well the linear model did.
             damping = max(damping * max(1 / 3, 1 - (2 * gain - 1) ** 3), 1e-12)
@@ -182,6 +182,20 @@ def levenberg_marquardt(
             if damping > _LARGEST_DAMPING:
                 return Outcome(point, "converged", k)
     return Outcome(point, f"stopped after {max_iterations} iterations", max_iterations)
+
+
+def _stepped(problem: Problem, x, step):
+    """The step, kept from overshooting, and where it leads from x.
+
+    A parameter's step is a relative change of its value: what a damping or a drag does is
+    linear in it, so that one that is far too small gets where it should be at once, and not by a
+    limited number of doublings.
+    """
+    n = len(problem.names)
+    step = step.copy()
+    step[:n] = np.maximum(step[:n], _LARGEST_FALL)
+    step[n:] = np.clip(step[n:], -_LARGEST_DELAY_STEP, _LARGEST_DELAY_STEP)
+    return step, x + np.append(np.log1p(step[:n]), step[n:])
 
 
 def _better(a: Point, b: Point) -> Point:

@@ -31,7 +31,10 @@ def remarks(fit: Fit) -> list[str]:
 
 def _not_converged(fit):
     if fit.result != "converged":
-        yield f"The optimisation did not converge ({fit.result}): values and intervals are provisional."
+        yield (
+            f"The optimisation did not converge ({fit.result}): values and intervals are "
+            "provisional."
+        )
 
 
 def _not_identifiable(fit):

@@ -34,6 +34,23 @@ def write_report(fit: Fit, out_dir: str | PathLike) -> Path:
     return out
 
 
+def summary(fit: Fit) -> str:
+    """The parameters and what is left of each recording, as lines of text."""
+    lines = [("parameter", "value", "95 % interval", "initial", "identified")]
+    for name, e in fit.parameters.items():
+        unit = "" if e.unit == "1" else f" {e.unit}"
+        verdict = "yes" if e.identifiable else "no"
+        lines.append((name, _show(e.value) + unit, _interval(e), _show(e.initial), verdict))
+    widths = [max(len(line[i]) for line in lines) for i in range(len(lines[0]))]
+    text = ["  ".join(c.ljust(w) for c, w in zip(line, widths, strict=True)) for line in lines]
+    text += [
+        f"{r.name}: {1e3 * r.rmse:.3g} mm rms over {_sampled(r)} samples, "
+        f"{r.selection.start:.2f} to {r.selection.end:.2f} s; time offset {r.time_offset:.4f} s"
+        for r in fit.recordings
+    ]
+    return "\n".join(line.rstrip() for line in [*text, fit.result])
+
+
 def as_json(fit: Fit) -> dict:
     """The fit as plain numbers, lists and strings.
 
@@ -160,12 +177,11 @@ def _method(fit: Fit) -> str:
 
 
 def _row(name: str, e: Estimate) -> tuple:
-    low, high = ("open" if end is None else _show(end) for end in e.ci95)
     verdict = "yes" if e.identifiable else "<span class='no'>no</span>"
     return (
         escape(name),
         _show(e.value),
-        f"{low} .. {high}",
+        _interval(e),
         escape("" if e.unit == "1" else e.unit),
         _show(e.initial),
         verdict,
@@ -184,6 +200,10 @@ def _recording_row(r) -> tuple:
         f"{r.selection.start:.3f} .. {r.selection.end:.3f}",
         offset,
     )
+
+
+def _interval(e: Estimate) -> str:
+    return " .. ".join("open" if end is None else _show(end) for end in e.ci95)
 
 
 def _show(value) -> str:

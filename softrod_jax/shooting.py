@@ -80,9 +80,7 @@ class Shooting(Method):
         """Positions (points, 3) and quaternions (points, 4), at order 6."""
         x = jnp.arange(4 * (strain.shape[0] - 1) + 1) / 4
         fine = _Window(x, strain.shape[0]).interpolate(strain)
-        return integrate_shape(
-            fine, length, base_position, base_quaternion, _QUARTERS, _BOOLE
-        )
+        return integrate_shape(fine, length, base_position, base_quaternion, _QUARTERS, _BOOLE)
 
     def defects(
         self, Y: Float[Array, "nodes n"], rod: Rod, layout: Layout, history, guess
@@ -173,9 +171,7 @@ class Shooting(Method):
                 adjoint=diffrax.DirectAdjoint(),
                 throw=False,
             )
-            z = jnp.where(
-                solution.result == diffrax.RESULTS.successful, solution.ys[-1], jnp.nan
-            )
+            z = jnp.where(solution.result == diffrax.RESULTS.successful, solution.ys[-1], jnp.nan)
             # The controller keeps the error within its own tolerances.
             return (z, None), (z, jnp.full_like(z, jnp.nan))
 

@@ -45,7 +45,6 @@ def at_rest_tip(z):
 CASES = {
     "static": (static_tip, [0, 3, 4]),
     "bdf_40_steps": (moving_tip, [0, 1, 2, 3, 4]),
-    "sdirk_10_steps": (lambda z: moving_tip(z, sr.SDIRK(order=3), 10), [0, 1, 2, 3, 4]),
 }
 
 

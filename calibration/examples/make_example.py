@@ -7,9 +7,6 @@ than the fit's: a fit that finds the truth does not do so by repeating its own e
 """
 
 import jax
-
-jax.config.update("jax_enable_x64", True)
-
 import jax.numpy as jnp
 import numpy as np
 
@@ -43,6 +40,7 @@ def inputs(t: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def main() -> None:
+    jax.config.update("jax_enable_x64", True)
     scene_path, (log_path,) = example_paths()
     scene = sr.load_scene(scene_path)
     truth = with_values(scene, tuple(TRUTH), jnp.log(jnp.array(list(TRUTH.values()))))

@@ -1,0 +1,114 @@
+"""Calibration: recovers what made the data, says what the data do not tell, fits a real beam."""
+
+from pathlib import Path
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import softrod_jax as sr
+from calibration import Recording, calibrate, load_recording
+from softrod_jax.scene import as_arrays
+
+BEAM = Path(__file__).parents[2] / "shared" / "data" / "beam" / "beam_gravity_V2_a.c3d"
+TRUTH = {"young_modulus": 2.9e5, "bending_damping": 6e-5}
+OFFSET, RATE, NOISE = 0.2036, 100.0, 3e-4
+
+
+def beam(**values):
+    return as_arrays(
+        sr.Scene(
+            length=0.1,
+            section=sr.Rectangle(0.03, 0.03),
+            poisson_ratio=0.49,
+            density=1070.0,
+            gravity=jnp.array([-9.81, 0.0, 0.0]),
+            **values,
+        )
+    )
+
+
+@pytest.fixture(scope="module")
+def release():
+    """A beam let go at OFFSET, made with a finer grid and time step than the fit uses."""
+    motion = sr.simulate(
+        beam(**TRUTH), 1e-3, steps=1000, method=sr.Collocation(20), scheme=sr.SDIRK(order=3)
+    )
+    times = np.arange(110) / RATE
+    at = np.clip(times - OFFSET, 0.0, None)
+    tip = np.stack([np.interp(at, motion.ts, x) for x in np.array(motion.tip_positions).T], 1)
+    tip += NOISE * np.random.default_rng(0).normal(size=tip.shape)
+    tip[[40, 41, 60]] = np.nan
+    return Recording(times, None, None, tip, name="release")
+
+
+@pytest.fixture(scope="module")
+def fits(release):
+    start = beam(young_modulus=2e5, bending_damping=1.5e-4)
+    return {
+        name: calibrate(start, [release], optimiser=name, progress=False)
+        for name in ("levenberg_marquardt", "adam")
+    }
+
+
+@pytest.mark.parametrize("optimiser", ["levenberg_marquardt", "adam"])
+def test_truth_is_recovered(fits, optimiser):
+    fit = fits[optimiser]
+    for name, truth in TRUTH.items():
+        estimate = fit.parameters[name]
+        low, high = estimate.ci95
+        assert estimate.identifiable
+        assert low < truth < high, (name, estimate)
+    assert high / low < 2
+    assert abs(fit.time_offset_s["release"] - OFFSET) < 1e-3
+    # What is left is the noise: NOISE in each of three coordinates.
+    np.testing.assert_allclose(fit.rmse_m["release"], NOISE * np.sqrt(3), rtol=0.1)
+
+
+def test_both_optimisers_agree(fits):
+    by_lm, by_adam = (fits[name].parameters for name in ("levenberg_marquardt", "adam"))
+    for name in TRUTH:
+        low, high = by_lm[name].ci95
+        assert abs(by_lm[name].value - by_adam[name].value) < 0.1 * (high - low)
+
+
+def test_a_parameter_without_information_is_called_so(release):
+    scene = beam(young_modulus=2.5e5, bending_damping=5e-5, drag_coefficient=1e-4)
+    fit = calibrate(scene, [release], fit=("young_modulus", "drag_coefficient"), progress=False)
+    assert fit.parameters["young_modulus"].identifiable
+    drag = fit.parameters["drag_coefficient"]
+    assert np.isfinite(drag.value)
+    assert not drag.identifiable
+
+
+@pytest.mark.parametrize(
+    "arguments, words",
+    [
+        (dict(fit=("stiffness",)), "stiffness"),
+        (dict(fit=("drag_coefficient",)), "no drag_coefficient"),
+        (dict(fit=()), "no parameters"),
+        (dict(fit=("density", "density")), "twice"),
+        (dict(optimiser="luck"), "luck"),
+        (dict(max_iterations=0), "max_iterations"),
+    ],
+)
+def test_bad_arguments(release, arguments, words):
+    scene = beam(young_modulus=2e5, bending_damping=1e-3)
+    with pytest.raises(ValueError, match=words):
+        calibrate(scene, [release], progress=False, **arguments)
+
+
+def test_no_recordings():
+    with pytest.raises(ValueError, match="recordings"):
+        calibrate(beam(young_modulus=2e5), [], progress=False)
+
+
+@pytest.mark.skipif(not BEAM.exists(), reason="shared/data/beam is absent")
+def test_a_real_beam():
+    """Silicone beam, motion capture: 0.3 mm rms or better, drag not identifiable."""
+    scene = beam(young_modulus=2e5, bending_damping=1e-3, drag_coefficient=0.03)
+    fit = calibrate(scene, [load_recording(BEAM, scene)], progress=False)
+    assert fit.rmse_m[BEAM.stem] < 3e-4
+    modulus = fit.parameters["young_modulus"]
+    assert modulus.identifiable and 2.6e5 < modulus.value < 3.3e5
+    assert not fit.parameters["drag_coefficient"].identifiable
