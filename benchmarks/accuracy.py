@@ -158,7 +158,7 @@ def _name(x) -> str:
         case sr.SDIRK():
             return f"SDIRK({x.order})"
         case sr.Collocation():
-            return f"Collocation({x.intervals}{', order=6' if x.order == 6 else ''})"
+            return f"Collocation({x.intervals}, order={x.order})"
         case sr.Shooting():
             return f"Shooting({x.segments}, {x.steps})"
 

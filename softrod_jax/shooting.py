@@ -41,6 +41,9 @@ class Shooting(Method):
       solution counts as one. Solvers without an embedded error estimate are not checked;
       `diffrax.HalfSolver` gives one to any solver.
 
+    Whether an equilibrium is stable is judged from node to node: single shooting cannot tell,
+    5 segments can.
+
     Raises `ValueError` for counts below 1 and for what is not a solver.
     """
 
