@@ -3,7 +3,7 @@
     python benchmarks/accuracy.py [--write-readme]
 
 The robot of `softrod_jax.hybrid_robot`, 0.1 m long. An error is the largest distance of the tip
-[m] from the refined solution. Three minutes on two cores, most of it compiling.
+[m] from the refined solution. Some minutes on two cores, most of it compiling.
 """
 
 import time

@@ -37,62 +37,67 @@ class Silent(Meter):
 
 
 class Bar(Meter):
-    """A bar on stderr, by rich. Parameters are shown at their values in the best point so far."""
+    """A bar on stderr, by rich; below it the parameters of the best point of the stage."""
 
     def __init__(self):
         from rich.console import Console
+        from rich.live import Live
         from rich.progress import (
             BarColumn,
             MofNCompleteColumn,
             Progress,
             SpinnerColumn,
             TextColumn,
-            TimeElapsedColumn,
             TimeRemainingColumn,
         )
 
         self._progress = Progress(
             SpinnerColumn(),
             TextColumn("{task.description}"),
-            BarColumn(bar_width=20),
+            BarColumn(bar_width=16),
             MofNCompleteColumn(),
             TextColumn("{task.fields[loss]}"),
-            TimeElapsedColumn(),
-            TextColumn("left"),
             TimeRemainingColumn(),
-            TextColumn("{task.fields[values]}"),
-            console=Console(stderr=True),
+            TextColumn("left"),
         )
         self._task = None
+        self._title = ""
         self._best = np.inf
+        self._values = ""
+        self._live = Live(get_renderable=self._render, console=Console(stderr=True))
 
     def __enter__(self):
-        self._progress.start()
+        self._live.start()
         return self
 
     def __exit__(self, *error):
         self._finish()
-        self._progress.stop()
+        self._live.stop()
 
     def stage(self, title, total):
+        first = self._task is None
         self._finish()
-        self._best = np.inf
-        self._task = self._progress.add_task(title, total=total, loss="", values="")
+        self._best, self._title = np.inf, title
+        shown = "compiling the simulation" if first else title
+        self._task = self._progress.add_task(shown, total=total, loss="")
 
     def show(self, point):
+        self._progress.update(self._task, description=self._title, advance=1)
         if point.ok and point.loss < self._best:
-            self._best = point.loss
-            self._progress.update(
-                self._task, loss=f"rms {1e3 * point.rms:.3g} mm", values=_values(point)
-            )
-        self._progress.advance(self._task)
+            self._best, self._values = point.loss, _values(point)
+            self._progress.update(self._task, loss=f"rms {1e3 * point.rms:.4g} mm")
 
     def _finish(self):
         """An optimiser that stopped early is done, not at 20 %."""
         if self._task is not None:
             done = self._progress.tasks[-1].completed
-            self._progress.update(self._task, total=done)
-            self._progress.stop_task(self._task)
+            self._progress.update(self._task, total=done, completed=done)
+
+    def _render(self):
+        from rich.console import Group
+        from rich.text import Text
+
+        return Group(self._progress, Text("  " + self._values))
 
 
 def _values(point: Point) -> str:

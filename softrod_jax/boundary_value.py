@@ -34,6 +34,7 @@ class Found(NamedTuple):
     - `contraction`: the largest ratio of corrections; see `newton.py`.
     - `load_steps`: how many the search took; 1 where it went straight for the answer.
     - `stable`: in statics, whether the equilibrium is stable; see `block_sweep.py`.
+    - `error`: the method's estimate of its own error (`Defects.error`); NaN if it has none.
     """
 
     result: Int[Array, ""]
@@ -42,6 +43,7 @@ class Found(NamedTuple):
     contraction: Float[Array, ""]
     load_steps: Int[Array, ""]
     stable: Bool[Array, ""]
+    error: Float[Array, ""]
 
 
 class Solved(NamedTuple):
@@ -73,7 +75,10 @@ def search_directly(method, layout, options, rod, history, guess: Guess) -> Solv
     )
     one = jnp.ones((), jnp.int32)
     stable = jnp.array(True) if layout.dynamic else has_no_conjugate_point(end.factors[0])
-    found = Found(end.result, end.iterations, end.correction, end.contraction, one, stable)
+    error = jnp.array(jnp.nan) if end.aux.error is None else end.aux.error
+    found = Found(
+        end.result, end.iterations, end.correction, end.contraction, one, stable, error
+    )
     return Solved(end.y, end.aux.y, end.aux.strain, found)
 
 
@@ -90,9 +95,15 @@ def solve_boundary_value(
 
     A sample that fails keeps its last iterate, and its derivative is zero.
     """
-    return _solve(
+    solved = _solve(
         (rod, history), guess, method=method, layout=layout, options=options, search=search
     )
+    # Where there is no estimate, NaN is not above the limit.
+    inaccurate = (solved.found.result == RESULTS.successful) & (
+        solved.found.error > method.max_error
+    )
+    result = jnp.where(inaccurate, RESULTS.inaccurate, solved.found.result).astype(jnp.int32)
+    return solved._replace(found=solved.found._replace(result=result))
 
 
 @eqx.filter_custom_jvp
@@ -115,10 +126,19 @@ def _solve_jvp(primals, tangents, *, method, layout, options, search):
         is_leaf=lambda t: t is None,
     )
 
+    # A failed sample is linearised at rest and slowly: where its iterates are, derivatives may
+    # overflow, and 0 * inf is NaN in the reverse pass.
+    unless_failed = lambda x, instead: jnp.where(ok, x, instead)
+    strain = unless_failed(solved.strain, guess.strain)
+
     def equations_at(dynamic, Y):
-        equations = _Equations(method, layout, *eqx.combine(dynamic, static))
+        rod, history = eqx.combine(dynamic, static)
+        if history is not None:
+            history = jax.tree.map(unless_failed, history, History(1.0, 0.0, 0.0))
+        equations = _Equations(method, layout, rod, history)
         # The base pose may depend on the inputs, too.
-        F, at, _ = equations.evaluate(equations.with_base(Y), solved.strain)
+        Y = equations.with_base(unless_failed(Y, method.nodes(guess.y)))
+        F, at, _ = equations.evaluate(Y, strain)
         return F, (at.y, at.strain), equations.base()
 
     _, along = jax.linearize(equations_at, dynamic, solved.Y)

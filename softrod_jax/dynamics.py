@@ -32,8 +32,9 @@ class Trajectory(eqx.Module):
     - `strains` (v, u) and `velocities` (q, omega), (steps + 1, outputs, 6), body frame.
     - `result`: a code of `RESULTS`; 0 is success. `failed_step`: the first step k that has no
       solution, or -1; from there on the rod is held where it was.
-    - `stats`: per step, (steps,): "iterations" (evaluations along the rod) and "residual"
-      (Newton's last correction, relative to the size of the state).
+    - `stats`: per step, (steps,): "iterations" (evaluations along the rod), "residual"
+      (Newton's last correction, relative to the size of the state) and "error" (of the
+      discretisation along the rod, estimated, in lengths of the rod; NaN: no estimate).
     """
 
     ts: Float[Array, "times"]
@@ -126,6 +127,7 @@ class _Running(NamedTuple):
     result: Int[Array, ""]
     iterations: Int[Array, ""]
     correction: Float[Array, ""]
+    error: Float[Array, ""]
 
 
 @eqx.filter_jit
@@ -163,11 +165,12 @@ def _simulate(scene, dt, tensions, pressures, strain, steps, scheme, method, opt
                 jnp.where(running.result == 0, result, running.result),
                 running.iterations + found.iterations,
                 jnp.maximum(running.correction, found.correction),
+                jnp.maximum(running.error, found.error),
             )
             return _Fields(solved.strain, jnp.concatenate([q, w], -1)), running
 
         begin = running._replace(
-            iterations=jnp.zeros((), jnp.int32), correction=jnp.zeros(())
+            iterations=jnp.zeros((), jnp.int32), correction=jnp.zeros(()), error=jnp.zeros(())
         )
         new_memory, after = scheme.step(memory, coefficients, solve, begin)
         # After a failure the rod is held where it was: its numbers stay finite.
@@ -176,14 +179,18 @@ def _simulate(scene, dt, tensions, pressures, strain, steps, scheme, method, opt
         memory = hold(new_memory, memory)
         after = after._replace(guess=hold(after.guess, running.guess))
         seen = method.outputs(memory[0].velocity)
-        out = (memory[0].strain, seen, after.result, after.iterations, after.correction)
-        return (memory, after), out
+        stats = {
+            "iterations": after.iterations,
+            "residual": after.correction,
+            "error": after.error,
+        }
+        return (memory, after), (memory[0].strain, seen, after.result, stats)
 
     zero = jnp.zeros((), jnp.int32)
-    running = _Running(guess, zero, zero, jnp.zeros(()))
+    running = _Running(guess, zero, zero, jnp.zeros(()), jnp.zeros(()))
     restart = _restarts(steps, tensions, pressures)
     coefficients = scheme.coefficients(dt, restart)
-    _, (strains, velocities, results, iterations, corrections) = jax.lax.scan(
+    _, (strains, velocities, results, stats) = jax.lax.scan(
         step, (scheme.start(fields), running), (coefficients, tensions, pressures)
     )
 
@@ -204,7 +211,7 @@ def _simulate(scene, dt, tensions, pressures, strain, steps, scheme, method, opt
         velocities=velocities,
         result=results[-1],
         failed_step=jnp.where(jnp.any(failed), jnp.argmax(failed), -1),
-        stats={"iterations": iterations, "residual": corrections},
+        stats=stats,
     )
 
 

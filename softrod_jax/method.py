@@ -31,9 +31,13 @@ class Defects(NamedTuple):
 
 
 class Method(eqx.Module):
-    """A way to solve the rod ODE along the rod; `intervals` between `intervals + 1` nodes."""
+    """A way to solve the rod ODE along the rod; `intervals` between `intervals + 1` nodes.
+
+    `max_error`: the estimated error up to which a solution counts as one.
+    """
 
     intervals: eqx.AbstractVar[int]
+    max_error: eqx.AbstractVar[float]
 
     @abc.abstractmethod
     def points(self, length) -> Float[Array, "points"]:

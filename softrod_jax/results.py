@@ -20,6 +20,7 @@ class RESULTS(IntEnum):
     diverged = 2
     max_iterations = 3
     bad_input = 4
+    inaccurate = 5
 
 
 _MESSAGES = {
@@ -38,6 +39,10 @@ _MESSAGES = {
     ),
     RESULTS.bad_input: (
         "an input is not finite, or a tension is negative; a tendon can only pull"
+    ),
+    RESULTS.inaccurate: (
+        "the equations along the rod are solved on a grid too coarse for them; take more "
+        "intervals, or shorter steps along the rod"
     ),
 }
 

@@ -44,7 +44,8 @@ class StaticSolution(eqx.Module):
     - `result`: a code of `RESULTS`; 0 is success. Else the numbers are the last iterate.
     - `stats`: "iterations", "residual" (Newton's last correction, relative to the size of the
       state), "load_steps" (1: reached at once; more: by continuation in the load), "stable"
-      (false: a disturbance, however small, takes the rod to another equilibrium).
+      (false: a disturbance, however small, takes the rod to another equilibrium), "error" (of
+      the discretisation along the rod, estimated, in lengths of the rod; NaN: no estimate).
     """
 
     tip_position: Float[Array, "3"]
@@ -113,6 +114,7 @@ def _solve_static(scene, tensions, pressures, method, options):
             "residual": solved.found.correction,
             "load_steps": solved.found.load_steps,
             "stable": solved.found.stable,
+            "error": solved.found.error,
         },
         point_strains=solved.strain,
         method=method,
@@ -179,6 +181,7 @@ def search_by_load(method, layout, options, rod, history, guess: Guess) -> Solve
         found = found._replace(
             result=jnp.where(finished, found.result, failure),
             stable=jnp.where(ok, found.stable, past.stable),
+            error=jnp.where(ok, found.error, past.error),
             iterations=past.iterations + found.iterations,
             load_steps=past.load_steps + ok,
         )
@@ -193,7 +196,7 @@ def search_by_load(method, layout, options, rod, history, guess: Guess) -> Solve
         )
 
     zero, none = jnp.zeros((), jnp.int32), jnp.zeros(())
-    unloaded = Solved(method.nodes(guess.y), guess.y, guess.strain, Found(zero, zero, none, none, zero, jnp.array(True)))
+    unloaded = Solved(method.nodes(guess.y), guess.y, guess.strain, Found(zero, zero, none, none, zero, jnp.array(True), none))
     start = _Load(none, jnp.ones(()), unloaded, guess, none, zero, jnp.array(True))
     return jax.lax.while_loop(lambda state: state.running, attempt, start).solved
 

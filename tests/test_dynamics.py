@@ -137,7 +137,7 @@ def test_a_long_motion_ends_in_the_equilibrium():
         sr.hybrid_robot(gravity=jnp.array([-9.81, 2.0, 0.0])), bending_damping=5e-6
     )
     bdf2 = sr.BDFAlpha(alpha=0.0)  # damps the axial waves, which have no damping of their own
-    tensions, pressures = np.tile([0.1, 0.05, 0.0], (300, 1)), np.full((300, 1), 2e4)
+    tensions, pressures = np.tile([0.1, 0.05, 0.0], (400, 1)), np.full((400, 1), 2e4)
     motion = sr.simulate(scene, 0.02, tensions, pressures, scheme=bdf2)
     rest = sr.solve_static(scene, tensions[0], pressures[0])
     np.testing.assert_allclose(motion.tip_positions[-1], rest.tip_position, atol=1e-8)
