@@ -1,6 +1,6 @@
 """The boundary value problem along the rod: base pose given, tip wrench given.
 
-`solve_boundary_value` is Newton's method on a method's defects and the tip condition. Its
+`solve_boundary_value` is Newton's method on a method's equations and the tip condition. Its
 derivative, forward and reverse, comes from the implicit function theorem: one more linear solve
 with the Jacobian at the solution, never a differentiated iteration.
 """
@@ -13,18 +13,15 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
 from softrod_jax.block_sweep import factorise, has_no_conjugate_point, solve_sweeps
-from softrod_jax.method import Defects, Method
+from softrod_jax.constitutive import shortest_path
+from softrod_jax.method import Fields, Guess, Method
 from softrod_jax.newton import NewtonOptions, newton
 from softrod_jax.results import RESULTS
 from softrod_jax.rod import Rod
 from softrod_jax.rod_ode import History, Layout, tip_condition
 
-
-class Guess(NamedTuple):
-    """Where Newton starts: states and strains at the points of the method."""
-
-    y: Float[Array, "points n"]
-    strain: Float[Array, "points 6"]
+# Where a solve fails with less than this of a tendon's path left, the tendon is why.
+_VANISHING_PATH = 0.02
 
 
 class Found(NamedTuple):
@@ -34,7 +31,6 @@ class Found(NamedTuple):
     - `contraction`: the largest ratio of corrections; see `newton.py`.
     - `load_steps`: how many the search took; 1 where it went straight for the answer.
     - `stable`: in statics, whether the equilibrium is stable; see `block_sweep.py`.
-    - `error`: the method's estimate of its own error (`Defects.error`); NaN if it has none.
     """
 
     result: Int[Array, ""]
@@ -43,43 +39,122 @@ class Found(NamedTuple):
     contraction: Float[Array, ""]
     load_steps: Int[Array, ""]
     stable: Bool[Array, ""]
-    error: Float[Array, ""]
 
 
 class Solved(NamedTuple):
-    """States `Y` at the nodes, `y` and `strain` at all points, and how they were found."""
+    """States and strains at all points, and how they were found."""
 
-    Y: Float[Array, "nodes n"]
-    y: Float[Array, "points n"]
-    strain: Float[Array, "points 6"]
+    fields: Fields
     found: Found
 
 
-def search_directly(method, layout, options, rod, history, guess: Guess) -> Solved:
-    """Newton's method from `guess`."""
-    equations = _Equations(method, layout, rod, history)
-    Y = equations.with_base(method.nodes(guess.y))
-    at = jax.tree.map(
-        lambda x: jnp.zeros(x.shape, x.dtype),
-        jax.eval_shape(equations.evaluate, Y, guess.strain)[1],
-    )
+class Equations(NamedTuple):
+    """The equations of one problem, their Jacobian's factors and the correction.
+
+    `guess`: strains (points, 6) for pointwise solves, where the method has any.
+    """
+
+    method: Method
+    layout: Layout
+    rod: Rod
+    history: Optional[History]
+    guess: Float[Array, "points 6"]
+
+    @property
+    def _problem(self):
+        return self.rod, self.layout, self.history, self.guess
+
+    def base(self):
+        """(h, q, omega) at the clamp (paper eq. 13)."""
+        h = self.rod.h_base if self.layout.attitude else None
+        q = w = jnp.zeros(3) if self.layout.dynamic else None
+        parts = [x for x in (h, q, w) if x is not None]
+        return jnp.concatenate(parts) if parts else jnp.zeros(0)
+
+    def start(self, guess: Guess):
+        """The unknowns at a guess, with the state of the clamp at the base."""
+        U = self.method.unknowns(guess, self.rod)
+        return U.at[0, : self.layout.base_size].set(self.base())
+
+    def residual(self, U):
+        """What is zero at the solution: along the rod, and at the tip as db = S da + g there."""
+        Y = self.method.states(U, self.layout)
+        tip = self._tip(Y).wrench - Y[-1, -6:]
+        return self.method.residual(U, *self._problem), tip
+
+    def factorise(self, U, safe=None):
+        """What `correct` needs."""
+        linear = self.method.linearise(U, *self._problem)
+        Y = self.method.states(U, self.layout)
+        slope = self._tip(Y).by_base_part
+        units = self.scale(U)[: self.layout.size]
+        a = self.layout.base_size
+        left, right = (B * units / units[:, None] for B in (linear.left, linear.right))
+        slope = slope * units[:a] / units[a:, None]
+        if safe is not None:
+            # A failed sample has no derivative: a solvable system with nothing in it.
+            eye = jnp.eye(self.layout.size)
+            left, right = jnp.where(safe, left, -eye), jnp.where(safe, right, eye)
+            slope = jnp.where(safe, slope, 0.0)
+        return factorise(left, right, slope), units, linear.inner
+
+    def correct(self, factors, F):
+        """The correction -J^-1 F of the unknowns."""
+        (sweeps, units, inner), (residual, tip) = factors, F
+        defect, condensed = self.method.condense(inner, residual)
+        dY = solve_sweeps(sweeps, defect / units, tip / units[-6:]) * units
+        return self.method.expand(inner, condensed, dY)
+
+    def scale(self, U):
+        """Sizes of the unknowns, (columns,): a bent rod's, and those of the answer so far."""
+        rod, c0 = self.rod, None if self.history is None else self.history.c0
+        n = self.layout.size
+        EI = jnp.max(rod.K_bt[:2])
+        if c0 is not None and rod.B_bt is not None:
+            EI = EI + c0 * jnp.max(rod.B_bt[:2])
+        one = jnp.ones(3)
+        N, M = jnp.max(jnp.abs(U[:, n - 6 : n - 3])), jnp.max(jnp.abs(U[:, n - 3 : n]))
+        states = self.layout.join(
+            jnp.ones(4) if self.layout.attitude else None,
+            c0 * rod.L * one if self.layout.dynamic else None,
+            c0 * one if self.layout.dynamic else None,
+            (EI / rod.L**2 + N) * one,
+            (EI / rod.L + M) * one,
+        )
+        if U.shape[-1] == n:
+            return states
+        curvature = 1 / rod.L + jnp.max(jnp.abs(U[:, -3:]))
+        return jnp.concatenate([states, one, curvature * one])
+
+    def fields(self, U) -> Fields:
+        """The rod at all points."""
+        return self.method.fields(U, *self._problem)
+
+    def _tip(self, Y):
+        history = self.history
+        if history is not None:
+            history = History(history.c0, history.strain[-1], history.velocity[-1])
+        return tip_condition(Y[-1], self.rod, self.layout, history)
+
+
+def search_directly(equations: Equations, options: NewtonOptions, U):
+    """Newton's method from `U`: the unknowns, and how they were found."""
+    layout = equations.layout
     end = newton(
-        equations.evaluate,
+        equations.residual,
         equations.factorise,
-        equations.solve,
-        Y,
-        at._replace(y=guess.y, strain=guess.strain),
-        equations.scale(Y),
+        equations.correct,
+        U,
+        equations.scale(U),
         options,
         exact_factors=not layout.dynamic,
     )
-    one = jnp.ones((), jnp.int32)
-    stable = jnp.array(True) if layout.dynamic else has_no_conjugate_point(end.factors[0])
-    error = jnp.array(jnp.nan) if end.aux.error is None else end.aux.error
-    found = Found(
-        end.result, end.iterations, end.correction, end.contraction, one, stable, error
+    one, stable = jnp.ones((), jnp.int32), jnp.array(True)
+    if not layout.dynamic:
+        stable = has_no_conjugate_point(end.factors[0])
+    return end.y, Found(
+        end.result, end.iterations, end.correction, end.contraction, one, stable
     )
-    return Solved(end.y, end.aux.y, end.aux.strain, found)
 
 
 def solve_boundary_value(
@@ -89,35 +164,53 @@ def solve_boundary_value(
     rod: Rod,
     history: Optional[History],
     guess: Guess,
-    search: Callable[..., Solved] = search_directly,
+    search: Callable = search_directly,
 ) -> Solved:
     """Solve along the rod. Differentiable in `rod` and `history`.
 
     A sample that fails keeps its last iterate, and its derivative is zero.
     """
-    solved = _solve(
+    U, found = _solve(
         (rod, history), guess, method=method, layout=layout, options=options, search=search
     )
+    result, strain = found.result, jax.lax.stop_gradient(guess.strain)
+    equations = Equations(method, layout, rod, history, strain)
+    if history is not None:
+        ok = result == RESULTS.successful
+        equations = equations._replace(history=_slow_unless(ok, history))
+        U = jnp.where(ok, U, equations.start(jax.lax.stop_gradient(guess)))
+    fields = equations.fields(U)
+    failed = (result == RESULTS.diverged) | (result == RESULTS.max_iterations)
+    if rod.tau is not None:
+        gone = shortest_path(rod, fields.strain) < _VANISHING_PATH
+        result = jnp.where(failed & gone, RESULTS.no_equilibrium, result)
     # Where there is no estimate, NaN is not above the limit.
-    inaccurate = (solved.found.result == RESULTS.successful) & (
-        solved.found.error > method.max_error
-    )
-    result = jnp.where(inaccurate, RESULTS.inaccurate, solved.found.result).astype(jnp.int32)
-    return solved._replace(found=solved.found._replace(result=result))
+    inaccurate = (result == RESULTS.successful) & (fields.error > method.max_error)
+    result = jnp.where(inaccurate, RESULTS.inaccurate, result).astype(jnp.int32)
+    return Solved(fields, found._replace(result=result))
+
+
+def _slow_unless(ok, history: History) -> History:
+    """The history, or that of a rod almost at rest.
+
+    Where a sample has failed, derivatives may overflow, and 0 * inf is NaN in the reverse pass.
+    """
+    return jax.tree.map(lambda x, slow: jnp.where(ok, x, slow), history, History(1.0, 0.0, 0.0))
 
 
 @eqx.filter_custom_jvp
-def _solve(inputs, guess, *, method, layout, options, search) -> Solved:
-    return search(method, layout, options, *inputs, guess)
+def _solve(inputs, guess, *, method, layout, options, search):
+    equations = Equations(method, layout, *inputs, guess.strain)
+    return search(equations, options, equations.start(guess))
 
 
 @_solve.def_jvp
 def _solve_jvp(primals, tangents, *, method, layout, options, search):
     inputs, guess = primals
-    solved = _solve(
+    U, found = _solve(
         inputs, guess, method=method, layout=layout, options=options, search=search
     )
-    ok = solved.found.result == RESULTS.successful
+    ok = found.result == RESULTS.successful
     dynamic, static = eqx.partition(inputs, eqx.is_inexact_array)
     dot = jax.tree.map(
         lambda t, x: jnp.zeros_like(x) if t is None and x is not None else t,
@@ -125,97 +218,26 @@ def _solve_jvp(primals, tangents, *, method, layout, options, search):
         dynamic,
         is_leaf=lambda t: t is None,
     )
+    at = jnp.where(ok, U, Equations(method, layout, *inputs, guess.strain).start(guess))
 
-    # A failed sample is linearised at rest and slowly: where its iterates are, derivatives may
-    # overflow, and 0 * inf is NaN in the reverse pass.
-    unless_failed = lambda x, instead: jnp.where(ok, x, instead)
-    strain = unless_failed(solved.strain, guess.strain)
-
-    def equations_at(dynamic, Y):
+    def equations(dynamic):
         rod, history = eqx.combine(dynamic, static)
         if history is not None:
-            history = jax.tree.map(unless_failed, history, History(1.0, 0.0, 0.0))
-        equations = _Equations(method, layout, rod, history)
-        # The base pose may depend on the inputs, too.
-        Y = equations.with_base(unless_failed(Y, method.nodes(guess.y)))
-        F, at, _ = equations.evaluate(Y, strain)
-        return F, (at.y, at.strain), equations.base()
+            history = _slow_unless(ok, history)
+        return Equations(method, layout, rod, history, guess.strain)
 
-    _, along = jax.linearize(equations_at, dynamic, solved.Y)
-    F_dot, _, base_dot = along(dot, jnp.zeros_like(solved.Y))
-    equations = _Equations(method, layout, *inputs)
-    at = Defects(None, solved.y, solved.strain, None)
-    factors = equations.factorise(solved.Y, at, safe=ok)
+    def by_inputs(dynamic):
+        # The pose of the clamp may depend on the inputs, too.
+        here = equations(dynamic)
+        base = here.base()
+        return here.residual(at.at[0, : base.size].set(base)), base
+
+    _, along = jax.linearize(by_inputs, dynamic)
+    F_dot, base_dot = along(dot)
+    here = equations(dynamic)
     # A failed sample has no derivative: zero keeps the rest of its batch clean.
-    cut = lambda tree: jax.tree.map(lambda x: jnp.where(ok, x, 0.0), tree)
-    Y_dot = equations.solve(factors, cut(F_dot))
-    Y_dot = Y_dot.at[0, : layout.base_size].add(cut(base_dot))
-    _, (y_dot, strain_dot), _ = along(dot, Y_dot)
-    none = jax.tree.map(lambda x: None, solved.found)
-    return solved, Solved(Y_dot, cut(y_dot), cut(strain_dot), none)
-
-
-class _Equations(NamedTuple):
-    """The equations, their Jacobian's factors and the correction, as Newton asks for them."""
-
-    method: Method
-    layout: Layout
-    rod: Rod
-    history: Optional[History]
-
-    def base(self):
-        """(h, q, omega) at the clamp (paper eq. 13)."""
-        h = self.rod.h_base if self.layout.attitude else None
-        q = w = jnp.zeros(3) if self.layout.dynamic else None
-        parts = [x for x in (h, q, w) if x is not None]
-        return jnp.concatenate(parts) if parts else jnp.zeros(0)
-
-    def with_base(self, Y):
-        return Y.at[0, : self.layout.base_size].set(self.base())
-
-    def evaluate(self, Y, strain_guess):
-        at = self.method.defects(Y, self.rod, self.layout, self.history, strain_guess)
-        # The residual at the tip, in the sense db = S da + g of the sweep.
-        tip = self._tip(Y)
-        return (at.defect, tip.wrench - Y[-1, -6:]), at, at.solvable
-
-    def factorise(self, Y, at: Defects, safe=None):
-        left, right = self.method.blocks(at, self.rod, self.layout, self.history)
-        slope = self._tip(Y).by_base_part
-        units = self.scale(Y)
-        a = self.layout.base_size
-        left, right = (B * units / units[:, None] for B in (left, right))
-        slope = slope * units[:a] / units[a:, None]
-        if safe is not None:
-            # A failed sample has no derivative: a solvable system with nothing in it.
-            eye = jnp.eye(self.layout.size)
-            left, right = jnp.where(safe, left, -eye), jnp.where(safe, right, eye)
-            slope = jnp.where(safe, slope, 0.0)
-        return factorise(left, right, slope), units
-
-    def solve(self, factors, F):
-        (factors, units), (defect, tip) = factors, F
-        return solve_sweeps(factors, defect / units, tip / units[-6:]) * units
-
-    def scale(self, Y):
-        """Sizes of the state's components: a bent rod's, and those of the answer so far."""
-        rod, c0 = self.rod, None if self.history is None else self.history.c0
-        EI = jnp.max(rod.K_bt[:2])
-        if c0 is not None and rod.B_bt is not None:
-            EI = EI + c0 * jnp.max(rod.B_bt[:2])
-        one = jnp.ones(3)
-        N, M = jnp.max(jnp.abs(Y[:, -6:-3])), jnp.max(jnp.abs(Y[:, -3:]))
-        return self.layout.join(
-            jnp.ones(4) if self.layout.attitude else None,
-            c0 * rod.L * one if self.layout.dynamic else None,
-            c0 * one if self.layout.dynamic else None,
-            (EI / rod.L**2 + N) * one,
-            (EI / rod.L + M) * one,
-        )
-
-    def _tip(self, Y):
-        history = self.history
-        if history is not None:
-            history = History(history.c0, history.strain[-1], history.velocity[-1])
-        return tip_condition(Y[-1], self.rod, self.layout, history)
-
+    F_dot = jax.tree.map(lambda x: jnp.where(ok, x, 0.0), F_dot)
+    U_dot = here.correct(here.factorise(at, safe=ok), F_dot)
+    U_dot = U_dot.at[0, : layout.base_size].add(jnp.where(ok, base_dot, 0.0))
+    none = jax.tree.map(lambda x: None, found)
+    return (U, found), (jnp.where(ok, U_dot, 0.0), none)

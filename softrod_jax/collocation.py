@@ -1,19 +1,26 @@
 """Symmetric collocation along the rod: mono-implicit Runge-Kutta formulas of order 4 and 6.
 
-The unknowns are the states at the nodes; states inside an interval follow from them explicitly
+In each interval, states at inner points are combinations of those at its ends and of the rates
 (Cash & Singhal 1982; order 4 is Hermite-Simpson). Symmetric formulas keep both the growing and
 the decaying modes of the rod equations, so that the error does not depend on the time step;
 explicit integration along the rod needs intervals shorter than a wave travels in a step.
+
+States at inner points and, with tendons, the strains at all points are unknowns, too: all rates
+come from one evaluation, and no iteration is nested in Newton's. From its linear equations they
+are eliminated point by point.
 """
+
+from typing import NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from softrod_jax.method import Defects, Method
+from softrod_jax.constitutive import compliance, imbalance, recover_strain
+from softrod_jax.method import Fields, Guess, Linear, Method
 from softrod_jax.rod import Rod
-from softrod_jax.rod_ode import History, Layout, rod_ode, rod_ode_jacobian
+from softrod_jax.rod_ode import Layout, partial_derivatives, pointwise_problem, rates
 from softrod_jax.shape import integrate_shape
 
 
@@ -21,20 +28,19 @@ class _Formula:
     """Y_r = (1 - v_r) Y_k + v_r Y_{k+1} + h sum_j x_rj f_j;  Y_{k+1} = Y_k + h sum_r b_r f_r.
 
     The first two stages are the nodes themselves; `c` are the inner points, in [0, 1], in the
-    order in which they are computed, each of a group (`groups`) independent of the others.
+    order in which they are computed.
     """
 
-    def __init__(self, groups, c, v, x, b):
-        self.groups, self.c, self.v = groups, np.array(c), np.array(v)
+    def __init__(self, c, v, x, b):
+        self.c, self.v = np.array(c), np.array(v)
         self.x, self.b = [np.array(row) for row in x], np.array(b)
 
 
 _FORMULAS = {
     4: _Formula(
-        groups=[(0,)], c=[1 / 2], v=[1 / 2], x=[[1 / 8, -1 / 8]], b=[1 / 6, 1 / 6, 2 / 3]
+        c=[1 / 2], v=[1 / 2], x=[[1 / 8, -1 / 8]], b=[1 / 6, 1 / 6, 2 / 3]
     ),
     6: _Formula(
-        groups=[(0, 1), (2,)],
         c=[1 / 4, 3 / 4, 1 / 2],
         v=[5 / 32, 27 / 32, 1 / 2],
         x=[[9 / 64, -3 / 64], [3 / 64, -9 / 64], [-5 / 24, 5 / 24, 2 / 3, -2 / 3]],
@@ -76,13 +82,9 @@ class Collocation(Method):
         grid = (np.arange(self.intervals)[:, None] + inner).ravel() / self.intervals
         return length * jnp.array(np.append(grid, 1.0))
 
-    def nodes(self, points: Float[Array, "points *rest"]) -> Float[Array, "nodes *rest"]:
-        """The entries that belong to nodes."""
-        return points[:: self._stride]
-
     def outputs(self, points: Float[Array, "points *rest"]) -> Float[Array, "nodes *rest"]:
         """The nodes."""
-        return self.nodes(points)
+        return points[:: self._stride]
 
     def shape(self, strain, length, base_position, base_quaternion):
         """Positions (nodes, 3) and quaternions (nodes, 4), at the order of the method."""
@@ -93,79 +95,107 @@ class Collocation(Method):
             strain, length, base_position, base_quaternion, at[order], formula.b[order]
         )
 
-    def defects(
-        self, Y: Float[Array, "nodes n"], rod: Rod, layout: Layout, history, guess
-    ) -> Defects:
-        """How far the states at the nodes, `Y`, are from solving the rod ODE."""
+    def unknowns(self, guess: Guess, rod: Rod) -> Float[Array, "points columns"]:
+        """States at all points, beside them the strains if there are tendons."""
+        return guess.y if rod.tau is None else jnp.concatenate([guess.y, guess.strain], -1)
+
+    def states(self, U, layout: Layout) -> Float[Array, "nodes n"]:
+        """The states at the nodes."""
+        return self.outputs(U)[:, : layout.size]
+
+    def fields(self, U, rod: Rod, layout: Layout, history, guess) -> Fields:
+        """The rod at all points."""
+        y, strain, _ = self._split(U, rod, layout, history)
+        return Fields(y, strain, self._error(strain, rod.L))
+
+    def residual(self, U, rod: Rod, layout: Layout, history, guess) -> "_Residual":
+        """How far the unknowns are from solving the rod ODE."""
         formula, h = self._formula, rod.L / self.intervals
-        s = self.points(rod.L)
-
-        def ode(index, y):
-            here = _at(history, index)
-            return rod_ode(s[index], y, rod, layout, here, guess[index])
-
-        nodes = self._node_index
-        at_nodes = ode(nodes, Y)
-        f = [at_nodes.y_s[:-1], at_nodes.y_s[1:]]
-        inner = {}
-        for group in formula.groups:
-            y = [self._stage(r, Y, f, h) for r in group]
-            index = np.concatenate([self._inner_index(r) for r in group])
-            rates = ode(index, jnp.concatenate(y))
-            m = self.intervals
-            for j, r in enumerate(group):
-                part = slice(j * m, (j + 1) * m)
-                f.append(rates.y_s[part])
-                inner[r] = (y[j], rates.strain[part], rates.solvable)
+        y, strain, problem = self._split(U, rod, layout, history)
+        f = self._by_stage(rates(y, strain, rod, layout, history))
+        y = self._by_stage(y)
         increment = sum(b * f_r for b, f_r in zip(formula.b, f))
-        solvable = at_nodes.solvable
-        for _, _, ok in inner.values():
-            solvable &= ok
-        return Defects(
-            defect=Y[1:] - Y[:-1] - h * increment,
-            y=self._interleave(Y, [inner[r][0] for r in range(len(formula.c))]),
-            strain=self._interleave(
-                at_nodes.strain, [inner[r][1] for r in range(len(formula.c))]
-            ),
-            solvable=solvable,
-        )
+        inner = [
+            y_r - (1 - v) * y[0] - v * y[1] - h * sum(a * f_j for a, f_j in zip(x, f))
+            for y_r, v, x in zip(y[2:], formula.v, formula.x)
+        ]
+        forces = None if rod.tau is None else imbalance(problem, strain)
+        return _Residual(y[1] - y[0] - h * increment, inner, forces)
 
-    def blocks(self, at: Defects, rod: Rod, layout: Layout, history):
-        """d(defect_k)/dY_k and d(defect_k)/dY_{k+1}, each (intervals, n, n)."""
+    def linearise(self, U, rod: Rod, layout: Layout, history, guess) -> Linear:
+        """The derivative of `residual`, strains and inner states eliminated."""
         formula, h = self._formula, rod.L / self.intervals
-        A = rod_ode_jacobian(self.points(rod.L), at.y, at.strain, rod, layout, history)
-        A_nodes, eye = A[self._node_index], jnp.eye(layout.size)
+        y, strain, problem = self._split(U, rod, layout, history)
+        f_y, f_strain = partial_derivatives(y, strain, rod, layout, history)
+        C = compliance(problem, strain)
+        by_wrench = f_strain @ C
+        A = self._by_stage(f_y.at[..., -6:].add(by_wrench))
+        eye = jnp.eye(layout.size)
         # G_r = df_r/dY_k and df_r/dY_{k+1}, by the chain rule through the stages.
-        by_left, by_right = [A_nodes[:-1], 0.0], [0.0, A_nodes[1:]]
-        for r in range(len(formula.c)):
-            A_r, x, v = A[self._inner_index(r)], formula.x[r], formula.v[r]
-            left = (1 - v) * eye + h * sum(x_j * G for x_j, G in zip(x, by_left))
-            right = v * eye + h * sum(x_j * G for x_j, G in zip(x, by_right))
+        by_left, by_right, stages = [A[0], 0.0], [0.0, A[1]], []
+        for A_r, x, v in zip(A[2:], formula.x, formula.v):
+            left = (1 - v) * eye + h * sum(a * G for a, G in zip(x, by_left))
+            right = v * eye + h * sum(a * G for a, G in zip(x, by_right))
             by_left.append(A_r @ left)
             by_right.append(A_r @ right)
+            stages.append((A_r, left, right))
         left = -eye - h * sum(b * G for b, G in zip(formula.b, by_left))
         right = eye - h * sum(b * G for b, G in zip(formula.b, by_right))
-        return left, right
+        strains = None if rod.tau is None else (C, by_wrench)
+        return Linear(left, right, (h, stages, strains))
 
-    def _stage(self, r, Y, f, h):
-        v, x = self._formula.v[r], self._formula.x[r]
-        return (1 - v) * Y[:-1] + v * Y[1:] + h * sum(a * f_j for a, f_j in zip(x, f))
+    def condense(self, inner, residual: "_Residual"):
+        """The defects between nodes once inner states and strains have been corrected."""
+        formula, (h, stages, strains) = self._formula, inner
+        df = [0.0] * (2 + len(stages))
+        if strains is not None:
+            _, by_wrench = strains
+            df = self._by_stage(-_apply(by_wrench, residual.forces))
+        dy = []
+        for r, ((A_r, _, _), x) in enumerate(zip(stages, formula.x)):
+            dy.append(h * sum(a * df_j for a, df_j in zip(x, df)) - residual.inner[r])
+            df[2 + r] = df[2 + r] + _apply(A_r, dy[-1])
+        defect = residual.defect - h * sum(b * df_r for b, df_r in zip(formula.b, df))
+        return defect, (dy, residual.forces)
 
-    @property
-    def _node_index(self):
-        return np.arange(self.intervals + 1) * self._stride
-
-    def _inner_index(self, r):
-        rank = int(np.argsort(np.argsort(self._formula.c))[r])
-        return np.arange(self.intervals) * self._stride + 1 + rank
-
-    def _interleave(self, nodes, inner):
+    def expand(self, inner, condensed, dY: Float[Array, "nodes n"]):
+        """The correction of all unknowns."""
+        (_, stages, strains), (dy, forces) = inner, condensed
+        moved = [
+            dy_r + _apply(left, dY[:-1]) + _apply(right, dY[1:])
+            for dy_r, (_, left, right) in zip(dy, stages)
+        ]
         order = np.argsort(self._formula.c)
-        body = jnp.stack([nodes[:-1]] + [inner[r] for r in order], axis=1)
-        return jnp.concatenate([body.reshape(-1, body.shape[-1]), nodes[-1:]])
+        body = jnp.stack([dY[:-1]] + [moved[r] for r in order], axis=1)
+        dU = jnp.concatenate([body.reshape(-1, body.shape[-1]), dY[-1:]])
+        if strains is None:
+            return dU
+        return jnp.concatenate([dU, _apply(strains[0], dU[:, -6:] - forces)], -1)
+
+    def _split(self, U, rod, layout, history):
+        """States, strains and the pointwise problem of which they are the solution."""
+        y = U[:, : layout.size]
+        problem = pointwise_problem(self.points(rod.L), y, rod, history)
+        strain = recover_strain(problem, None)[0] if rod.tau is None else U[:, layout.size :]
+        return y, strain, problem
+
+    def _by_stage(self, points):
+        """Values at points as a list: left nodes, right nodes, and inner points in turn."""
+        nodes = self.outputs(points)
+        rank = np.argsort(np.argsort(self._formula.c))
+        return [nodes[:-1], nodes[1:]] + [points[1 + k :: self._stride] for k in rank]
+
+    def _error(self, strain, length):
+        return jnp.array(jnp.nan)
 
 
-def _at(history: History | None, index) -> History | None:
-    if history is None:
-        return None
-    return History(history.c0, history.strain[index], history.velocity[index])
+class _Residual(NamedTuple):
+    """Defects between nodes, errors of inner states, and imbalance of forces at the points."""
+
+    defect: Float[Array, "intervals n"]
+    inner: list
+    forces: Float[Array, "points 6"] | None
+
+
+def _apply(matrices: Float[Array, "m i j"], vectors: Float[Array, "m j"]):
+    return jnp.sum(matrices * vectors[..., None, :], -1)

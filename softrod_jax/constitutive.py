@@ -93,6 +93,12 @@ def _paths(problem: LocalProblem, x):
     return l, jnp.sqrt(jnp.sum(l * l, -1) + 1e-30)
 
 
+def shortest_path(rod: Rod, strain: Strain):
+    """The least |v + u x r_i| of any tendon anywhere: 0 where it has no length left."""
+    problem = LocalProblem(rod.K_se, strain, rod.tau, *rod.tendons.routing(0.0))
+    return jnp.min(_paths(problem, strain)[1])
+
+
 def _pulls(problem: LocalProblem, x):
     """d|l_i|/dx, (*points, tendons, 6), and |l_i|."""
     l, length = _paths(problem, x)
@@ -100,7 +106,8 @@ def _pulls(problem: LocalProblem, x):
     return jnp.sum(_path_maps(problem) * t[..., None], -2), length
 
 
-def _gradient(problem: LocalProblem, x):
+def imbalance(problem: LocalProblem, x: Strain) -> Strain:
+    """The gradient of the energy in x = (v, u), zero at the solution: [N] and [N m]."""
     pull, _ = _pulls(problem, x)
     return problem.k * x + jnp.sum(problem.tau[:, None] * pull, -2) - problem.b
 
@@ -160,7 +167,7 @@ def _minimise(problem: LocalProblem, guess):
 
     def body(state):
         x, _, i = state
-        g = _gradient(problem, x)
+        g = imbalance(problem, x)
         step = -jnp.sum(_inverse(_hessian(problem, x)) * g[..., None, :], -1)
         size = jnp.max(jnp.abs(step) / scale, -1)
         slope = jnp.sum(step * g, -1)
@@ -181,7 +188,7 @@ def _minimise(problem: LocalProblem, guess):
 def _minimise_jvp(primals, tangents):
     problem, guess = primals
     x, converged = _minimise(problem, guess)
-    _, g_dot = jax.jvp(lambda p: _gradient(p, x), (problem,), (tangents[0],))
+    _, g_dot = jax.jvp(lambda p: imbalance(p, x), (problem,), (tangents[0],))
     # A point without a solution has no derivative: zero keeps the rest of the batch clean.
     safe = jnp.where(converged[..., None], x, jnp.array([0.0, 0, 1, 0, 0, 0]))
     g_dot = jnp.where(converged[..., None], g_dot, 0.0)

@@ -8,10 +8,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from softrod_jax.boundary_value import Guess, solve_boundary_value
+from softrod_jax.boundary_value import solve_boundary_value
 from softrod_jax.collocation import Collocation
 from softrod_jax.inputs import actuation, valid_actuation
-from softrod_jax.method import Method
+from softrod_jax.method import Guess, Method
 from softrod_jax.newton import NewtonOptions
 from softrod_jax.precision import require_float64
 from softrod_jax.results import RESULTS, raise_unless_successful
@@ -157,17 +157,17 @@ def _simulate(scene, dt, tensions, pressures, strain, steps, scheme, method, opt
                 History(c0, history.strain, history.velocity),
                 running.guess,
             )
-            found = solved.found
+            found, fields = solved.found, solved.fields
             result = jnp.where(valid, found.result, RESULTS.bad_input).astype(jnp.int32)
-            _, q, w, _, _ = layout.split(solved.y)
+            _, q, w, _, _ = layout.split(fields.y)
             running = _Running(
-                Guess(solved.y, solved.strain),
+                Guess(fields.y, fields.strain),
                 jnp.where(running.result == 0, result, running.result),
                 running.iterations + found.iterations,
                 jnp.maximum(running.correction, found.correction),
-                jnp.maximum(running.error, found.error),
+                jnp.maximum(running.error, fields.error),
             )
-            return _Fields(solved.strain, jnp.concatenate([q, w], -1)), running
+            return _Fields(fields.strain, jnp.concatenate([q, w], -1)), running
 
         begin = running._replace(
             iterations=jnp.zeros((), jnp.int32), correction=jnp.zeros(()), error=jnp.zeros(())

@@ -1,39 +1,55 @@
-"""The interface of a method along the rod: nodes, defects between them, and their derivative.
+"""The interface of a method along the rod: equations between nodes, and their linearisation.
 
 Both methods, `Collocation` and `Shooting`, turn the rod ODE into one equation per interval,
-`defect_k(Y_k, Y_{k+1}) = 0`, between the states at the nodes. Newton's method, the linear
-algebra, the time stepping and the gradients are written once, on top of this interface.
+`defect_k(Y_k, Y_{k+1}) = 0`, between the states at the nodes. A method may have more unknowns
+inside its intervals and eliminate them from the linear equations by itself. Newton's method, the
+sweeps, the time stepping and the gradients are written once, on top of this interface.
 """
 
 import abc
-from typing import NamedTuple, Optional
+from typing import Any, NamedTuple
 
 import equinox as eqx
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Float
 
 from softrod_jax.rod import Rod
 from softrod_jax.rod_ode import Layout
 
 
-class Defects(NamedTuple):
-    """A method at given node states: the defects, and the rod at all its points.
+class Guess(NamedTuple):
+    """Where Newton starts: states and strains at the points of the method."""
 
-    - `solvable`: whether the strains exist at every point (see `constitutive.py`).
-    - `error`: estimated error of the states, in sizes of the problem: about the error of the
-      tip in lengths of the rod. `None`: the method has no estimate.
-    """
-
-    defect: Float[Array, "intervals n"]
     y: Float[Array, "points n"]
     strain: Float[Array, "points 6"]
-    solvable: Bool[Array, ""]
-    error: Optional[Float[Array, ""]] = None
+
+
+class Fields(NamedTuple):
+    """The rod at all points of a method.
+
+    `error`: estimated error of the discretisation, in sizes of the problem: about the error of
+    the tip in lengths of the rod.
+    """
+
+    y: Float[Array, "points n"]
+    strain: Float[Array, "points 6"]
+    error: Float[Array, ""]
+
+
+class Linear(NamedTuple):
+    """d(defect_k)/dY_k and d(defect_k)/dY_{k+1}, and what a method needs for its inner unknowns."""
+
+    left: Float[Array, "intervals n n"]
+    right: Float[Array, "intervals n n"]
+    inner: Any
 
 
 class Method(eqx.Module):
     """A way to solve the rod ODE along the rod; `intervals` between `intervals + 1` nodes.
 
     `max_error`: the estimated error up to which a solution counts as one.
+
+    The unknowns are an array (rows, columns) whose shape is up to the method. `guess` holds
+    strains (points, 6) from which pointwise solves start, where a method needs any.
     """
 
     intervals: eqx.AbstractVar[int]
@@ -44,10 +60,6 @@ class Method(eqx.Module):
         """Arc lengths [m], evenly refined, where strains and velocities are kept."""
 
     @abc.abstractmethod
-    def nodes(self, points: Float[Array, "points *rest"]) -> Float[Array, "nodes *rest"]:
-        """The entries of a points array that belong to nodes."""
-
-    @abc.abstractmethod
     def outputs(self, points: Float[Array, "points *rest"]) -> Float[Array, "outputs *rest"]:
         """The entries of a points array that a user gets to see; both ends are among them."""
 
@@ -56,11 +68,29 @@ class Method(eqx.Module):
         """Positions (outputs, 3) and quaternions (outputs, 4) from the strains at the points."""
 
     @abc.abstractmethod
-    def defects(
-        self, Y: Float[Array, "nodes n"], rod: Rod, layout: Layout, history, guess
-    ) -> Defects:
-        """Defects of the node states `Y`; `guess` (points, 6): strains to start from."""
+    def unknowns(self, guess: Guess, rod: Rod) -> Float[Array, "rows columns"]:
+        """The unknowns, at a guess."""
 
     @abc.abstractmethod
-    def blocks(self, at: Defects, rod: Rod, layout: Layout, history):
-        """d(defect_k)/dY_k and d(defect_k)/dY_{k+1}, each (intervals, n, n)."""
+    def states(self, U: Float[Array, "rows columns"], layout: Layout) -> Float[Array, "nodes n"]:
+        """The states at the nodes."""
+
+    @abc.abstractmethod
+    def fields(self, U, rod: Rod, layout: Layout, history, guess) -> Fields:
+        """The rod at all points."""
+
+    @abc.abstractmethod
+    def residual(self, U, rod: Rod, layout: Layout, history, guess):
+        """What is zero at the solution: a pytree. Not finite where it does not exist."""
+
+    @abc.abstractmethod
+    def linearise(self, U, rod: Rod, layout: Layout, history, guess) -> Linear:
+        """The derivative of `residual`, the inner unknowns eliminated."""
+
+    @abc.abstractmethod
+    def condense(self, inner, residual) -> tuple[Float[Array, "intervals n"], Any]:
+        """The right-hand side of the equations between nodes, and what `expand` needs."""
+
+    @abc.abstractmethod
+    def expand(self, inner, condensed, dY: Float[Array, "nodes n"]) -> Float[Array, "rows columns"]:
+        """The correction of all unknowns, from that of the nodes."""

@@ -43,7 +43,6 @@ class NewtonResult(NamedTuple):
     """
 
     y: Array
-    aux: Any
     factors: Any
     result: Int[Array, ""]
     iterations: Int[Array, ""]
@@ -53,7 +52,6 @@ class NewtonResult(NamedTuple):
 
 class _State(NamedTuple):
     y: Array
-    aux: Any
     step: Array
     size: Float[Array, ""]
     damping: Float[Array, ""]
@@ -70,17 +68,14 @@ def newton(
     factorise: Callable,
     solve: Callable,
     y,
-    aux,
     scale,
     options: NewtonOptions,
     exact_factors: bool = False,
 ) -> NewtonResult:
-    """Solve `evaluate(y, strain) = (F, aux, valid)` for F = 0 from `y`.
+    """Solve `evaluate(y) = F = 0` from `y`.
 
-    - `evaluate(y, strain)`: equations F (a pytree), what comes along with them (a named tuple
-      with the field `strain`, the guess for the next evaluation), and whether they could be
-      evaluated at all.
-    - `factorise(y, aux)`: factors of the Jacobian there. `aux` at the start is a guess.
+    - `evaluate(y)`: the equations F, a pytree; not finite where they cannot be evaluated.
+    - `factorise(y)`: factors of the Jacobian there.
     - `solve(factors, F)`: the correction -J^-1 F, of y's shape.
     - `scale`: of y's shape or broadcast to it; corrections are measured by max |dy / scale|.
     - `exact_factors`: return the factors at the solution itself.
@@ -97,7 +92,7 @@ def newton(
     def with_new_factors(carry):
         state, _, _ = carry
         last = ~goes_on(state)
-        factors = factorise(state.y, state.aux)
+        factors = factorise(state.y)
         state = state._replace(
             step=jnp.zeros_like(state.step), fresh=jnp.array(True), stale=jnp.array(False)
         )
@@ -108,30 +103,24 @@ def newton(
 
     def one_pass(state, factors):
         y = state.y + state.damping * state.step
-        F, aux, valid = evaluate(y, state.aux.strain)
-        step = solve(factors, F)
+        step = solve(factors, evaluate(y))
         size = size_of(step)
         full = state.fresh | (state.damping == 1.0)
         falls = size <= (1 - state.damping / 4) * state.size
         small = size <= options.tolerance
         at_rounding = full & (state.size <= _ROUNDING) & (size <= 10 * _ROUNDING)
-        accept = valid & jnp.isfinite(size) & (state.fresh | falls | small | at_rounding)
+        accept = jnp.isfinite(size) & (state.fresh | falls | small | at_rounding)
         converged = accept & full & (small | (at_rounding & ~falls & ~state.fresh))
         ratio = size / state.size
         damping = jnp.where(accept, jnp.minimum(1.0, 4 * state.damping), state.damping / 4)
         failed = ~accept & (state.fresh | (damping < options.smallest_damping))
-        reason = jnp.where(valid, RESULTS.diverged, RESULTS.no_equilibrium)
-        result = jnp.where(failed, reason, RESULTS.max_iterations)
-        # The first factors were made at a guess of `aux`: where they have to be exact in the
-        # end, they are better so from the beginning.
-        guessed = exact_factors & (state.iterations == 0)
+        result = jnp.where(failed, RESULTS.diverged, RESULTS.max_iterations)
         judged = accept & ~state.fresh & (size > _ROUNDING)
         worst = jnp.where(judged, jnp.maximum(state.contraction, ratio), state.contraction)
         pick = lambda new, old: jax.tree.map(lambda a, b: jnp.where(accept, a, b), new, old)
         return _State(
             # A correction at rounding level is noise: it is not added.
             y=pick(jnp.where(converged & small, y + step, y), state.y),
-            aux=pick(aux, state.aux),
             step=pick(step, state.step),
             size=pick(size, state.size),
             damping=jnp.where(state.fresh, state.damping, damping),
@@ -140,12 +129,11 @@ def newton(
             iterations=state.iterations + 1,
             running=~converged & ~failed,
             fresh=jnp.array(False),
-            stale=accept & jnp.where(state.fresh, guessed, ~(full & (ratio < _REUSE))),
+            stale=accept & ~state.fresh & ~(full & (ratio < _REUSE)),
         )
 
     start = _State(
         y=y,
-        aux=aux,
         step=jnp.zeros_like(y),
         size=jnp.array(jnp.inf),
         damping=jnp.ones(()),
@@ -156,7 +144,7 @@ def newton(
         fresh=jnp.array(True),
         stale=jnp.array(False),
     )
-    shapes = jax.eval_shape(factorise, y, aux)
+    shapes = jax.eval_shape(factorise, y)
     factors = jax.tree.map(lambda x: jnp.zeros(x.shape, x.dtype), shapes)
 
     def unfinished(carry):
@@ -167,5 +155,5 @@ def newton(
         unfinished, with_new_factors, (start, factors, jnp.array(False))
     )
     return NewtonResult(
-        end.y, end.aux, factors, end.result, end.iterations, end.size, end.contraction
+        end.y, factors, end.result, end.iterations, end.size, end.contraction
     )

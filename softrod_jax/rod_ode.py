@@ -87,9 +87,9 @@ def rod_ode(
     `guess` (*points, 6): strains from which the pointwise solve starts (tendons only); the
     answer does not depend on it.
     """
-    problem = _problem(s, y, rod, history)
+    problem = pointwise_problem(s, y, rod, history)
     strain, solvable = recover_strain(problem, guess)
-    return Rates(_rates(y, strain, rod, layout, history), strain, solvable)
+    return Rates(rates(y, strain, rod, layout, history), strain, solvable)
 
 
 def rod_ode_jacobian(
@@ -99,17 +99,17 @@ def rod_ode_jacobian(
 
     Written out, because 16 forward tangents of `rod_ode` cost several times as much.
     """
-    f_y, f_strain = _partial_derivatives(y, strain, rod, layout, history)
-    C = compliance(_problem(s, y, rod, history), strain)
+    f_y, f_strain = partial_derivatives(y, strain, rod, layout, history)
+    C = compliance(pointwise_problem(s, y, rod, history), strain)
     return f_y.at[..., -6:].add(f_strain @ C)
 
 
-def _problem(s, y, rod, history):
+def pointwise_problem(s, y, rod, history):
     c0, strain_history = (None, None) if history is None else (history.c0, history.strain)
     return local_problem(rod, s, y[..., -6:], c0, strain_history)
 
 
-def _rates(y, strain, rod, layout, history):
+def rates(y, strain, rod, layout, history):
     h, q, w, N, M = layout.split(y)
     v, u = strain[..., :3], strain[..., 3:]
     h_s = q_s = w_s = None
@@ -135,8 +135,8 @@ def _rates(y, strain, rod, layout, history):
     return layout.join(h_s, q_s, w_s, N_s, M_s)
 
 
-def _partial_derivatives(y, strain, rod, layout, history):
-    """Of `_rates`: by y at fixed strain, (*points, n, n), and by the strain, (*points, n, 6)."""
+def partial_derivatives(y, strain, rod, layout, history):
+    """Of `rates`: by y at fixed strain, (*points, n, n), and by the strain, (*points, n, 6)."""
     h, q, w, N, M = layout.split(y)
     v, u = strain[..., :3], strain[..., 3:]
     zero = jnp.zeros((*y.shape[:-1], 3, 3))

@@ -14,7 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from softrod_jax.method import Defects, Method
+from softrod_jax.method import Fields, Guess, Linear, Method
 from softrod_jax.rod import Rod
 from softrod_jax.rod_ode import History, Layout, rod_ode
 from softrod_jax.shape import integrate_shape
@@ -71,10 +71,6 @@ class Shooting(Method):
         """Arc lengths [m] of the ends of all steps."""
         return length * jnp.linspace(0.0, 1.0, self.segments * self.steps + 1)
 
-    def nodes(self, points: Float[Array, "points *rest"]) -> Float[Array, "nodes *rest"]:
-        """The entries at the ends of segments."""
-        return points[:: self.steps]
-
     def outputs(self, points: Float[Array, "points *rest"]) -> Float[Array, "points *rest"]:
         """All points: single shooting has no nodes but the two ends."""
         return points
@@ -85,29 +81,45 @@ class Shooting(Method):
         fine = _Window(x, strain.shape[0]).interpolate(strain)
         return integrate_shape(fine, length, base_position, base_quaternion, _QUARTERS, _BOOLE)
 
-    def defects(
-        self, Y: Float[Array, "nodes n"], rod: Rod, layout: Layout, history, guess
-    ) -> Defects:
-        """How far each segment ends from the next node."""
-        ends, error = self._propagate(Y[:-1], rod, layout, history, guess)
-        starts = jnp.concatenate([Y[None, :-1], ends[:-1]])
-        y = jnp.swapaxes(starts, 0, 1).reshape(-1, layout.size)
-        y = jnp.concatenate([y, Y[-1:]])
-        rates = rod_ode(self.points(rod.L), y, rod, layout, history, guess)
-        # Where the integration has overflowed, it is not the tendons that fail.
-        solvable = rates.solvable | ~jnp.all(jnp.isfinite(y))
-        return Defects(Y[1:] - ends[-1], y, rates.strain, solvable, error)
+    def unknowns(self, guess: Guess, rod: Rod) -> Float[Array, "nodes n"]:
+        """The states at the nodes."""
+        return guess.y[:: self.steps]
 
-    def blocks(self, at: Defects, rod: Rod, layout: Layout, history):
-        """d(defect_k)/dY_k and d(defect_k)/dY_{k+1}, each (segments, n, n)."""
-        Y, eye = self.nodes(at.y)[:-1], jnp.eye(layout.size)
+    def states(self, U, layout: Layout) -> Float[Array, "nodes n"]:
+        """The unknowns themselves."""
+        return U
+
+    def fields(self, U, rod: Rod, layout: Layout, history, guess) -> Fields:
+        """The rod at the ends of all steps."""
+        ends, error = self._propagate(U[:-1], rod, layout, history, guess)
+        starts = jnp.concatenate([U[None, :-1], ends[:-1]])
+        y = jnp.swapaxes(starts, 0, 1).reshape(-1, layout.size)
+        y = jnp.concatenate([y, U[-1:]])
+        at = rod_ode(self.points(rod.L), y, rod, layout, history, guess)
+        return Fields(y, at.strain, error)
+
+    def residual(self, U, rod: Rod, layout: Layout, history, guess) -> Float[Array, "segments n"]:
+        """How far each segment ends from the next node."""
+        return U[1:] - self._propagate(U[:-1], rod, layout, history, guess)[0][-1]
+
+    def linearise(self, U, rod: Rod, layout: Layout, history, guess) -> Linear:
+        """The derivative of `residual`, by forward tangents through the integration."""
+        Y, eye = U[:-1], jnp.eye(layout.size)
 
         def column(e):
-            last = lambda Y: self._propagate(Y, rod, layout, history, at.strain)[0][-1]
+            last = lambda Y: self._propagate(Y, rod, layout, history, guess)[0][-1]
             return jax.jvp(last, (Y,), (jnp.broadcast_to(e, Y.shape),))[1]
 
         left = -jax.vmap(column, out_axes=-1)(eye)
-        return left, jnp.broadcast_to(eye, left.shape)
+        return Linear(left, jnp.broadcast_to(eye, left.shape), None)
+
+    def condense(self, inner, residual):
+        """No inner unknowns."""
+        return residual, None
+
+    def expand(self, inner, condensed, dY):
+        """No inner unknowns."""
+        return dY
 
     def _propagate(self, Y: Float[Array, "segments n"], rod, layout, history, guess):
         """States at the ends of steps, (steps, segments, n), and the estimated error.
@@ -132,7 +144,8 @@ class Shooting(Method):
                     history.c0, at.interpolate(history.strain), at.interpolate(history.velocity)
                 )
             rates = rod_ode(x * step, z * units, rod, layout, here, at.interpolate(guess))
-            return step * rates.y_s / units
+            # Where the tendons allow no strains, the end of the segment is not a number.
+            return jnp.where(rates.solvable, step * rates.y_s / units, jnp.nan)
 
         advance, state = self._stepper(diffrax.ODETerm(field), Y / units)
         _, (ends, errors) = jax.lax.scan(

@@ -8,15 +8,14 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
 from softrod_jax.boundary_value import (
+    Equations,
     Found,
-    Guess,
-    Solved,
     search_directly,
     solve_boundary_value,
 )
 from softrod_jax.collocation import Collocation
 from softrod_jax.inputs import actuation, valid_actuation
-from softrod_jax.method import Method
+from softrod_jax.method import Guess, Method
 from softrod_jax.newton import NewtonOptions
 from softrod_jax.precision import require_float64
 from softrod_jax.results import RESULTS, raise_unless_successful
@@ -97,8 +96,9 @@ def _solve_static(scene, tensions, pressures, method, options):
     guess = unloaded_guess(method, layout, rod)
     solved = solve_boundary_value(method, layout, options, rod, None, guess, search_by_load)
     result = jnp.where(valid, solved.found.result, RESULTS.bad_input).astype(jnp.int32)
+    fields = solved.fields
     positions, quaternions = method.shape(
-        solved.strain, rod.L, _base_position(scene), rod.h_base
+        fields.strain, rod.L, _base_position(scene), rod.h_base
     )
     return StaticSolution(
         tip_position=positions[-1],
@@ -106,17 +106,17 @@ def _solve_static(scene, tensions, pressures, method, options):
         arc_lengths=method.outputs(method.points(rod.L)),
         positions=positions,
         quaternions=quaternions,
-        strains=method.outputs(solved.strain),
-        wrenches=method.outputs(solved.y)[:, -6:],
+        strains=method.outputs(fields.strain),
+        wrenches=method.outputs(fields.y)[:, -6:],
         result=result,
         stats={
             "iterations": solved.found.iterations,
             "residual": solved.found.correction,
             "load_steps": solved.found.load_steps,
             "stable": solved.found.stable,
-            "error": solved.found.error,
+            "error": fields.error,
         },
-        point_strains=solved.strain,
+        point_strains=fields.strain,
         method=method,
     )
 
@@ -142,14 +142,15 @@ class _Load(NamedTuple):
 
     load: Array
     step: Array
-    solved: Solved
-    before: Guess
+    U: Array
+    found: Found
+    before: Array
     before_load: Array
     tries: Array
     running: Array
 
 
-def search_by_load(method, layout, options, rod, history, guess: Guess) -> Solved:
+def search_by_load(equations: Equations, options: NewtonOptions, U):
     """Raise all loads together from zero to one, in as few steps as is safe.
 
     A step is taken when Newton's corrections fall fast and undamped from the last answer (by a
@@ -159,12 +160,11 @@ def search_by_load(method, layout, options, rod, history, guess: Guess) -> Solve
     def attempt(state):
         load = jnp.minimum(1.0, state.load + state.step)
         ahead = (load - state.load) / jnp.maximum(state.load - state.before_load, 1e-12)
-        past = state.solved.found
+        past = state.found
         ahead = jnp.where(past.load_steps > 1, ahead, 0.0)
-        last = Guess(state.solved.y, state.solved.strain)
-        start = jax.tree.map(lambda a, b: a + ahead * (a - b), last, state.before)
-        new = search_directly(method, layout, options, scaled_loads(rod, load), history, start)
-        found = new.found
+        start = state.U + ahead * (state.U - state.before)
+        loaded = equations._replace(rod=scaled_loads(equations.rod, load))
+        new, found = search_directly(loaded, options, start)
         converged = found.result == RESULTS.successful
         # An unstable answer means that a singular point was stepped over: the path, with its
         # imperfections, passes by its side. Only where the path itself is unstable (a column
@@ -177,28 +177,28 @@ def search_by_load(method, layout, options, rod, history, guess: Guess) -> Solve
         stuck = (~ok & (step < _SMALLEST_LOAD_STEP)) | (tries >= _MAX_LOAD_STEPS)
         finished = ok & (load >= 1.0)
         failure = jnp.where(converged, RESULTS.diverged, found.result).astype(jnp.int32)
-        pick = lambda a, b: jax.tree.map(lambda x, y: jnp.where(ok, x, y), a, b)
         found = found._replace(
             result=jnp.where(finished, found.result, failure),
             stable=jnp.where(ok, found.stable, past.stable),
-            error=jnp.where(ok, found.error, past.error),
             iterations=past.iterations + found.iterations,
             load_steps=past.load_steps + ok,
         )
         return _Load(
             load=jnp.where(ok, load, state.load),
             step=step,
-            solved=pick(new, state.solved)._replace(found=found),
-            before=pick(last, state.before),
+            U=jnp.where(ok, new, state.U),
+            found=found,
+            before=jnp.where(ok, state.U, state.before),
             before_load=jnp.where(ok, state.load, state.before_load),
             tries=tries,
             running=~stuck & ~finished,
         )
 
     zero, none = jnp.zeros((), jnp.int32), jnp.zeros(())
-    unloaded = Solved(method.nodes(guess.y), guess.y, guess.strain, Found(zero, zero, none, none, zero, jnp.array(True), none))
-    start = _Load(none, jnp.ones(()), unloaded, guess, none, zero, jnp.array(True))
-    return jax.lax.while_loop(lambda state: state.running, attempt, start).solved
+    found = Found(zero, zero, none, none, zero, jnp.array(True))
+    start = _Load(none, jnp.ones(()), U, found, U, none, zero, jnp.array(True))
+    end = jax.lax.while_loop(lambda state: state.running, attempt, start)
+    return end.U, end.found
 
 
 def scaled_loads(rod: Rod, factor) -> Rod:

@@ -9,7 +9,6 @@ import pytest
 from scipy.integrate import solve_ivp
 
 import softrod_jax as sr
-from softrod_jax.method import Defects
 from softrod_jax.rod import make_rod
 from softrod_jax.rod_ode import History, Layout, rod_ode
 from softrod_jax.scene import as_arrays
@@ -61,7 +60,8 @@ def propagated(method):
     points = method.points(ROD.L)
     guess = jnp.tile(STRAIGHT, (points.shape[0], 1))
     Y = jnp.zeros((method.intervals + 1, LAYOUT.size)).at[0].set(START)
-    return method.defects(Y, ROD, LAYOUT, smooth_history(points), guess)
+    problem = ROD, LAYOUT, smooth_history(points), guess
+    return method.residual(Y, *problem), method.fields(Y, *problem).error
 
 
 @pytest.mark.parametrize(
@@ -79,9 +79,9 @@ def test_order_of_the_solver(integrated, solver, order, steps):
     tip, units = integrated
     errors, estimates = [], []
     for n in (steps, 2 * steps):
-        found = propagated(Shooting(steps=n, solver=solver))
-        errors.append(np.abs((found.defect[0] + tip) / units).max())
-        estimates.append(float(found.error))
+        defect, error = propagated(Shooting(steps=n, solver=solver))
+        errors.append(np.abs((defect[0] + tip) / units).max())
+        estimates.append(float(error))
     assert np.log2(errors[0] / errors[1]) > order - 0.5, errors
     assert 0 < estimates[1] < 0.6 * estimates[0]
 
@@ -90,12 +90,12 @@ def test_adaptive_steps_meet_their_tolerance(integrated):
     tip, units = integrated
     controller = diffrax.PIDController(rtol=1e-6, atol=1e-6)
     method = Shooting(solver=diffrax.Bosh3(), stepsize_controller=controller)
-    found = propagated(method)
-    assert np.isnan(found.error)
+    defect, error = propagated(method)
+    assert np.isnan(error)
     # With the 20 steps alone it is 1.3; see `test_order_of_the_solver`.
-    assert np.abs((found.defect[0] + tip) / units).max() < 0.02
+    assert np.abs((defect[0] + tip) / units).max() < 0.02
     hurried = Shooting(solver=diffrax.Bosh3(), stepsize_controller=controller, max_substeps=1)
-    assert np.all(np.isnan(propagated(hurried).defect))
+    assert np.all(np.isnan(propagated(hurried)[0]))
 
 
 def assert_slopes_agree(derivative, f, x, steps, tolerance):
@@ -132,7 +132,7 @@ def test_derivatives_of_the_defects(method, tensions):
         scaled = eqx.tree_at(lambda r: (r.L, r.K_bt), rod, (x[0] * rod.L, x[1] * rod.K_bt))
         past = history._replace(strain=x[2] * history.strain)
         start = Y.at[0].set(x[3:] * sizes)
-        return method.defects(start, scaled, LAYOUT, past, guess).defect / sizes
+        return method.residual(start, scaled, LAYOUT, past, guess) / sizes
 
     forward = jax.jit(jax.jacfwd(f))(x)
     weights = jnp.cos(jnp.arange(32.0)).reshape(2, 16)
@@ -140,8 +140,7 @@ def test_derivatives_of_the_defects(method, tensions):
     np.testing.assert_allclose(jnp.tensordot(weights, forward, 2), reverse, rtol=1e-8)
     assert_slopes_agree(forward, f, x, np.full(19, 1e-4), 1e-5)
 
-    at = Defects(None, jnp.tile(START, (points.shape[0], 1)), guess, None)
-    left, right = method.blocks(at, rod, LAYOUT, history)
+    left, right, _ = method.linearise(Y, rod, LAYOUT, history, guess)
     np.testing.assert_allclose(left[0] * sizes / sizes[:, None], forward[0, :, 3:], atol=1e-9)
     np.testing.assert_array_equal(right, np.tile(np.eye(16), (2, 1, 1)))
 
