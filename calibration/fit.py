@@ -157,7 +157,7 @@ def calibrate(
         raise ValueError(f"max_iterations={max_iterations}: at least 1 is needed")
 
     selections = [select(r, window) for r in recordings]
-    batch, clocks = make_batch(scene, recordings, selections, time_offset, dt, scheme)
+    batch, clocks = make_batch(scene, recordings, selections, time_offset, dt)
     problem = Problem(scene, batch, clocks, names, time_offset, scheme, method)
     with Bar() if progress else Silent() as meter:
         log = _Log(meter)
@@ -228,7 +228,6 @@ def _step_shift(problem, best, known, recordings, selections):
         selections,
         problem.time_offset,
         2 * max(dts),
-        problem.scheme,
         steps=problem.batch.steps,
     )
     other = problem.at(best.x, coarse)

@@ -134,7 +134,6 @@ def make_batch(
     selections: list[Selection],
     time_offset: bool,
     dt: float | None,
-    scheme,
     steps: int | None = None,
 ) -> tuple[Batch, list[Clock]]:
     """The recordings as arrays, and their clocks; `steps` to have as many as another batch.
@@ -165,7 +164,7 @@ def make_batch(
         tip[i, :n] = np.nan_to_num(measured)
     hanging = np.array([_hangs(scene, r) for r in recordings])
     tensions, pressures = (
-        _inputs([getattr(r, name) for r in recordings], recordings, clocks, steps, scheme)
+        _inputs([getattr(r, name) for r in recordings], recordings, clocks, steps)
         for name in ("tensions", "pressures")
     )
     batch = Batch(
@@ -250,7 +249,7 @@ def straight_tip(scene) -> np.ndarray:
     return tip if scene.base_position is None else tip + np.asarray(scene.base_position)
 
 
-def _inputs(inputs, recordings, clocks, steps, scheme):
+def _inputs(inputs, recordings, clocks, steps):
     """(recordings, steps + 1, channels): inputs at the start and in each step, from the logs.
 
     Between rows of a log inputs change linearly; after its end they stay. None if no recording
@@ -259,11 +258,7 @@ def _inputs(inputs, recordings, clocks, steps, scheme):
     channels = next((x.shape[1] for x in inputs if x is not None), None)
     if channels is None:
         return None
-    # BDF-alpha balances forces at the end of a step. A Runge-Kutta scheme takes an input as
-    # constant throughout, and its value in the middle stands for all: the one at the end would
-    # come half a step early, which a fit takes for a delay of the clock.
-    part = 1.0 if isinstance(scheme, sr.BDFAlpha) else 0.5
-    steps_done = np.append(0.0, np.arange(steps) + part)
+    steps_done = np.arange(steps + 1)
     grid = np.zeros((len(inputs), steps + 1, channels))
     for i, (x, r, c) in enumerate(zip(inputs, recordings, clocks, strict=True)):
         if x is not None:

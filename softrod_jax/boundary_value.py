@@ -24,6 +24,14 @@ from softrod_jax.rod_ode import History, Layout, tip_condition
 _VANISHING_PATH = 0.02
 
 
+def scaled_loads(rod: Rod, factor) -> Rod:
+    """The rod with tensions, pressures, gravity and tip loads times `factor`."""
+    names = ("tau", "n_ch", "m_ch", "gravity", "weight", "F_tip", "M_tip")
+    present = [name for name in names if getattr(rod, name) is not None]
+    pick = lambda r: [getattr(r, name) for name in present]
+    return eqx.tree_at(pick, rod, [factor * x for x in pick(rod)])
+
+
 class Found(NamedTuple):
     """How a search for the solution ended.
 

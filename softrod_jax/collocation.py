@@ -10,6 +10,7 @@ come from one evaluation, and no iteration is nested in Newton's. From its linea
 are eliminated point by point.
 """
 
+import dataclasses
 from typing import NamedTuple
 
 import equinox as eqx
@@ -49,6 +50,12 @@ _FORMULAS = {
 }
 
 
+# Of the differences of strains, of the method's own order, into an error of the tip. Measured on
+# curls under gravity and tip loads, 6 to 24 intervals: 1 to 6 times the true error for order 4,
+# 3 times (6 intervals) to 600 times (24) for order 6, which has inner points of lower order.
+_DIFFERENCE = {4: 0.03, 6: 1e-3}
+
+
 class Collocation(Method):
     """Mono-implicit Runge-Kutta collocation on `intervals` equal intervals.
 
@@ -60,7 +67,7 @@ class Collocation(Method):
 
     intervals: int = eqx.field(static=True, default=12)
     order: int = eqx.field(static=True, default=6)
-    max_error: float = eqx.field(static=True, default=1e-3)
+    max_error: float = eqx.field(static=True, default=1e-2)
 
     def __check_init__(self):
         if self.order not in _FORMULAS:
@@ -75,6 +82,10 @@ class Collocation(Method):
     @property
     def _stride(self) -> int:
         return 1 + len(self._formula.c)
+
+    def finer(self) -> "Collocation":
+        """Twice as many intervals."""
+        return dataclasses.replace(self, intervals=2 * self.intervals)
 
     def points(self, length) -> Float[Array, "points"]:
         """Arc lengths [m] where strains and velocities are kept: nodes and inner points."""
@@ -186,7 +197,16 @@ class Collocation(Method):
         return [nodes[:-1], nodes[1:]] + [points[1 + k :: self._stride] for k in rank]
 
     def _error(self, strain, length):
-        return jnp.array(jnp.nan)
+        """From differences of the strains along the rod; see `_DIFFERENCE`."""
+        order = self.order
+        if strain.shape[0] <= order:
+            return jnp.array(jnp.nan)
+        rough = jnp.abs(jnp.diff(strain, order, axis=0))
+        stretch, bend = jnp.max(rough[:, :3], -1), jnp.max(rough[:, 3:], -1)
+        # A turn of a section moves the tip by its distance from it.
+        arm = np.linspace(1.0, 0.0, strain.shape[0])
+        arm = np.convolve(arm, np.ones(order + 1) / (order + 1), "valid") * length
+        return _DIFFERENCE[order] * jnp.mean(stretch + arm * bend)
 
 
 class _Residual(NamedTuple):

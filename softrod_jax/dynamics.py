@@ -10,6 +10,7 @@ from jaxtyping import Array, Float, Int
 
 from softrod_jax.boundary_value import solve_boundary_value
 from softrod_jax.collocation import Collocation
+from softrod_jax.inertial_search import search_by_inertia
 from softrod_jax.inputs import actuation, valid_actuation
 from softrod_jax.method import Guess, Method
 from softrod_jax.newton import NewtonOptions
@@ -20,7 +21,11 @@ from softrod_jax.rod_ode import History, Layout
 from softrod_jax.rotations import to_base
 from softrod_jax.scene import Scene, as_arrays
 from softrod_jax.statics import StaticSolution, unloaded_guess
-from softrod_jax.time_schemes import BDFAlpha, TimeScheme, jumps
+from softrod_jax.step_control import first_substeps, refine_in_time
+from softrod_jax.time_schemes import SDIRK, TimeScheme, jumps
+
+# Where a search for an accuracy ends.
+_MOST_SUBSTEPS, _MOST_INTERVALS = 2048, 96
 
 
 class Trajectory(eqx.Module):
@@ -33,8 +38,9 @@ class Trajectory(eqx.Module):
     - `result`: a code of `RESULTS`; 0 is success. `failed_step`: the first step k that has no
       solution, or -1; from there on the rod is held where it was.
     - `stats`: per step, (steps,): "iterations" (evaluations along the rod), "residual"
-      (Newton's last correction, relative to the size of the state) and "error" (of the
-      discretisation along the rod, estimated, in lengths of the rod; NaN: no estimate).
+      (Newton's last correction, relative to the size of the state), "error" (of the
+      discretisation along the rod, estimated, in lengths of the rod; NaN: no estimate) and
+      "time_error" (of the tip so far from the steps in time, estimated, in lengths of the rod).
     """
 
     ts: Float[Array, "times"]
@@ -56,8 +62,10 @@ def simulate(
     pressures: Optional[Float[Array, "steps chambers"]] = None,
     *,
     steps: Optional[int] = None,
+    substeps: int = 1,
+    tolerance: Optional[float] = None,
     initial: Optional[StaticSolution] = None,
-    scheme: TimeScheme = BDFAlpha(),
+    scheme: TimeScheme = SDIRK(),
     method: Method = Collocation(),
     newton: NewtonOptions = NewtonOptions(),
     throw: bool = True,
@@ -66,10 +74,16 @@ def simulate(
 
     - `dt` [s]: the time step.
     - `tensions` [N], (steps, tendons), and `pressures` [Pa], (steps, chambers): row k acts from
-      ts[k] to ts[k + 1]. `None` leaves that actuator out.
+      ts[k] to ts[k + 1]. Where an input does not jump but varies, row k is its value at
+      ts[k + 1], reached linearly. `None` leaves that actuator out.
     - `steps`: how many, where there are no inputs to tell.
+    - `substeps`: equal parts into which each step is divided.
+    - `tolerance`: find `substeps`, and a finer grid along the rod if need be, so that the
+      estimated error of the tip stays below this many lengths of the rod. What was found is in
+      `stats` as "substeps" and "intervals". Not under `jit`, `vmap` or `grad`, which need these
+      numbers beforehand: give them those.
     - `initial`: start from this equilibrium (same `method`); from the unloaded rod if `None`.
-    - `scheme`: `BDFAlpha` or `SDIRK`. `method`: `Collocation` or `Shooting`.
+    - `scheme`: `SDIRK` or `BDFAlpha`. `method`: `Collocation` or `Shooting`.
     - `throw`: raise `SolveError` if a step fails; else see `Trajectory.result`.
 
     Works under `jit`, `vmap`, `grad` and `jacfwd`. Raises `ValueError` for inputs of the wrong
@@ -87,10 +101,64 @@ def simulate(
             "simulate: `initial` was solved with another method; give both the same `method`"
         )
     strain = None if initial is None else initial.point_strains
-    trajectory = _simulate(scene, dt, tensions, pressures, strain, steps, scheme, method, newton)
+    if not isinstance(substeps, int) or substeps < 1:
+        raise ValueError(f"simulate: substeps={substeps!r}; a whole number from 1 is needed")
+
+    def run(substeps, method=method):
+        return _simulate(
+            scene, dt, tensions, pressures, strain, steps, substeps, scheme, method, newton
+        )
+
+    if tolerance is None:
+        trajectory = run(substeps)
+    else:
+        inputs = (scene, dt, tensions, pressures, strain)
+        if any(isinstance(x, jax.core.Tracer) for x in jax.tree.leaves(inputs)):
+            raise ValueError(
+                f"simulate: tolerance={tolerance} under jit, vmap or grad; simulate a typical "
+                'motion with it first, and give the substeps=stats["substeps"] found there'
+            )
+        if not 0 < tolerance < 1:
+            raise ValueError(
+                f"simulate: tolerance={tolerance}; a part of the rod's length in (0, 1) is needed"
+            )
+        trajectory = _within(
+            run, scene, float(dt), method, scheme, substeps, tolerance, initial is None
+        )
     if throw:
         trajectory = raise_unless_successful(trajectory.result, trajectory, "simulate")
     return trajectory
+
+
+def _within(run, scene, dt, method, scheme, substeps, tolerance, may_refine_grid):
+    """The trajectory `run(substeps, method)` whose estimated errors are below `tolerance`."""
+    # On the device the number of substeps is an input: one program serves all tries.
+    attempt = lambda n: run(jnp.array(n), method)
+    length = float(scene.length)
+    n = max(substeps, first_substeps(make_rod(scene), dt, tolerance))
+    while True:
+        found, n, error, result = refine_in_time(
+            attempt, n, scheme.order, length, tolerance, max(_MOST_SUBSTEPS, 2 * n)
+        )
+        # An estimate that is not a number is above no tolerance.
+        if result != RESULTS.successful or not np.max(found.stats["error"]) > tolerance:
+            break
+        if not may_refine_grid or 2 * method.intervals > _MOST_INTERVALS:
+            result = RESULTS.inaccurate
+            break
+        # The estimate is a pessimist: two grids decide.
+        coarse, method = found, method.finer()
+        found = attempt(n)
+        moved = np.linalg.norm(found.tip_positions - coarse.tip_positions, axis=-1).max()
+        if found.result == RESULTS.successful and moved <= tolerance * length:
+            break
+        n = max(1, n // 2)
+    chosen = {"substeps": n, "intervals": method.intervals}
+    return eqx.tree_at(
+        lambda t: (t.result, t.stats),
+        found,
+        (jnp.array(int(result), jnp.int32), {**found.stats, "time_error": error, **chosen}),
+    )
 
 
 def _count_steps(steps, tensions, pressures) -> int:
@@ -131,24 +199,29 @@ class _Running(NamedTuple):
 
 
 @eqx.filter_jit
-def _simulate(scene, dt, tensions, pressures, strain, steps, scheme, method, options):
+def _simulate(
+    scene, dt, tensions, pressures, strain, steps, substeps, scheme, method, options
+):
     def rod_under(tau, pressure):
         return valid_actuation(make_rod(scene, tau, pressure))
 
-    first = [None if x is None else x[0] for x in (tensions, pressures)]
-    rod, _ = rod_under(*first)
+    inputs = (tensions, pressures)
+    rod, _ = rod_under(*jax.tree.map(lambda x: x[0], inputs))
     layout = Layout(attitude=rod.has_dead_load, dynamic=True)
     guess = unloaded_guess(method, layout, rod)
     if strain is not None:
         guess = guess._replace(strain=strain)
     fields = _Fields(guess.strain, jnp.zeros_like(guess.strain))
 
-    def step(state, inputs):
+    def substep(now, before, first, coefficients, state):
+        """One of `substeps` equal parts of a step; it begins at `first`, in [0, 1)."""
         memory, running = state
-        coefficients, tau, pressure = inputs
-        rod, valid = rod_under(tau, pressure)
 
-        def solve(c0, history, running):
+        def solve(c0, history, at, running):
+            progress = first + at / substeps
+            rod, valid = rod_under(
+                *jax.tree.map(lambda a, b: b + progress * (a - b), now, before)
+            )
             solved = solve_boundary_value(
                 method,
                 layout,
@@ -156,6 +229,7 @@ def _simulate(scene, dt, tensions, pressures, strain, steps, scheme, method, opt
                 rod,
                 History(c0, history.strain, history.velocity),
                 running.guess,
+                search_by_inertia,
             )
             found, fields = solved.found, solved.fields
             result = jnp.where(valid, found.result, RESULTS.bad_input).astype(jnp.int32)
@@ -169,29 +243,44 @@ def _simulate(scene, dt, tensions, pressures, strain, steps, scheme, method, opt
             )
             return _Fields(fields.strain, jnp.concatenate([q, w], -1)), running
 
-        begin = running._replace(
-            iterations=jnp.zeros((), jnp.int32), correction=jnp.zeros(()), error=jnp.zeros(())
-        )
-        new_memory, after = scheme.step(memory, coefficients, solve, begin)
+        new_memory, after = scheme.step(memory, coefficients, solve, running)
         # After a failure the rod is held where it was: its numbers stay finite.
         ok = after.result == RESULTS.successful
         hold = lambda new, old: jax.tree.map(lambda a, b: jnp.where(ok, a, b), new, old)
-        memory = hold(new_memory, memory)
-        after = after._replace(guess=hold(after.guess, running.guess))
-        seen = method.outputs(memory[0].velocity)
+        return hold(new_memory, memory), after._replace(guess=hold(after.guess, running.guess))
+
+    def step(state, row):
+        memory, running = state
+        coefficients, now, before = row
+        state = memory, running._replace(
+            iterations=jnp.zeros((), jnp.int32), correction=jnp.zeros(()), error=jnp.zeros(())
+        )
+
+        def part(k, state):
+            # Inputs jump at the beginning of a step only.
+            here = jnp.where(k == 0, coefficients, no_jump)
+            return substep(now, before, k / substeps, here, state)
+
+        if isinstance(substeps, int) and substeps == 1:
+            state = substep(now, before, 0.0, coefficients, state)
+        else:
+            state = jax.lax.fori_loop(0, substeps, part, state)
+        memory, running = state
         stats = {
-            "iterations": after.iterations,
-            "residual": after.correction,
-            "error": after.error,
+            "iterations": running.iterations,
+            "residual": running.correction,
+            "error": running.error,
         }
-        return (memory, after), (memory[0].strain, seen, after.result, stats)
+        seen = method.outputs(memory[0].velocity)
+        return state, (memory[0].strain, seen, running.result, stats)
 
     zero = jnp.zeros((), jnp.int32)
     running = _Running(guess, zero, zero, jnp.zeros(()), jnp.zeros(()))
-    restart = _restarts(steps, tensions, pressures)
-    coefficients = scheme.coefficients(dt, restart)
+    before, restart = _inputs_before(steps, inputs)
+    coefficients = scheme.coefficients(dt / substeps, restart)
+    no_jump = scheme.coefficients(dt / substeps, jnp.zeros(1, dtype=bool))[0]
     _, (strains, velocities, results, stats) = jax.lax.scan(
-        step, (scheme.start(fields), running), (coefficients, tensions, pressures)
+        step, (scheme.start(fields, guess), running), (coefficients, inputs, before)
     )
 
     strains = jnp.concatenate([fields.strain[None], strains])
@@ -201,6 +290,7 @@ def _simulate(scene, dt, tensions, pressures, strain, steps, scheme, method, opt
         lambda strain: method.shape(strain, rod.L, base, rod.h_base)
     )(strains)
     failed = results != RESULTS.successful
+    error = _time_error(positions[:, -1], scheme, substeps)
     return Trajectory(
         ts=dt * jnp.arange(steps + 1),
         tip_positions=positions[:, -1],
@@ -211,12 +301,31 @@ def _simulate(scene, dt, tensions, pressures, strain, steps, scheme, method, opt
         velocities=velocities,
         result=results[-1],
         failed_step=jnp.where(jnp.any(failed), jnp.argmax(failed), -1),
-        stats=stats,
+        stats={**stats, "time_error": error / rod.L},
     )
 
 
-def _restarts(steps, tensions, pressures):
-    inputs = [x for x in (tensions, pressures) if x is not None]
-    if not inputs:
-        return jnp.arange(steps) == 0
-    return jumps(jnp.concatenate(inputs, axis=1))
+def _inputs_before(steps, inputs):
+    """Where each input comes from as a step begins, and if any of them jumps there.
+
+    An input that jumps acts as given from the beginning of the step; another changes linearly
+    during the step, from its last value.
+    """
+    jumped = jax.tree.map(jumps, inputs)
+    held = lambda x, jump: jnp.where(jump, x, jnp.concatenate([x[:1], x[:-1]]))
+    restart = jnp.arange(steps) == 0
+    for jump in jax.tree.leaves(jumped):
+        restart |= jnp.any(jump, axis=1)
+    return jax.tree.map(held, inputs, jumped), restart
+
+
+def _time_error(tip: Float[Array, "times 3"], scheme: TimeScheme, substeps):
+    """Estimated error of the tip [m] from the steps in time, (steps,), growing.
+
+    The sum of C |dt^(p + 1) p^(p + 1)| over all steps, by differences of the tip's path. After a
+    jump, and where a step does not resolve the motion, it is too large rather than too small.
+    """
+    order = scheme.order
+    path = jnp.concatenate([jnp.broadcast_to(tip[0], (order, 3)), tip])
+    local = jnp.linalg.norm(jnp.diff(path, order + 1, axis=0) + 1e-300, axis=-1)
+    return scheme.error_constant / substeps**order * jnp.cumsum(local)

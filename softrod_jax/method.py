@@ -56,6 +56,10 @@ class Method(eqx.Module):
     max_error: eqx.AbstractVar[float]
 
     @abc.abstractmethod
+    def finer(self) -> "Method":
+        """The same method on a grid of half the spacing."""
+
+    @abc.abstractmethod
     def points(self, length) -> Float[Array, "points"]:
         """Arc lengths [m], evenly refined, where strains and velocities are kept."""
 

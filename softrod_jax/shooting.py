@@ -7,6 +7,8 @@ shooting is for statics and slow motions, and no explicit solver is accurate onc
 longer than a time step for one of its steps, c0 ds / c > 1. `Collocation` has neither limit.
 """
 
+import dataclasses
+
 import diffrax
 import equinox as eqx
 import jax
@@ -66,6 +68,10 @@ class Shooting(Method):
     @property
     def intervals(self) -> int:
         return self.segments
+
+    def finer(self) -> "Shooting":
+        """Twice as many steps in each segment."""
+        return dataclasses.replace(self, steps=2 * self.steps)
 
     def points(self, length) -> Float[Array, "points"]:
         """Arc lengths [m] of the ends of all steps."""

@@ -10,6 +10,7 @@ from jaxtyping import Array, Float, Int
 from softrod_jax.boundary_value import (
     Equations,
     Found,
+    scaled_loads,
     search_directly,
     solve_boundary_value,
 )
@@ -23,10 +24,13 @@ from softrod_jax.rod import Rod, make_rod
 from softrod_jax.rod_ode import Layout
 from softrod_jax.rotations import quaternion_exp, quaternion_product
 from softrod_jax.scene import Scene, as_arrays
+from softrod_jax.settling import settle
 
 # Continuation gives up when the next load step is a smaller part of the whole than this.
 _SMALLEST_LOAD_STEP = 1e-4
 _MAX_LOAD_STEPS = 200
+# Where a search for an accuracy ends.
+_MOST_INTERVALS = 96
 # Corrections that fall at least this fast, undamped, from one load to the next: the answer is
 # on the branch that the last one was on.
 _SAFE_CONTRACTION = 0.5
@@ -44,7 +48,8 @@ class StaticSolution(eqx.Module):
     - `stats`: "iterations", "residual" (Newton's last correction, relative to the size of the
       state), "load_steps" (1: reached at once; more: by continuation in the load), "stable"
       (false: a disturbance, however small, takes the rod to another equilibrium), "error" (of
-      the discretisation along the rod, estimated, in lengths of the rod; NaN: no estimate).
+      the discretisation along the rod, estimated, in lengths of the rod; NaN: no estimate), "transient_steps" (of the damped motion; 0: it was
+      not needed).
     """
 
     tip_position: Float[Array, "3"]
@@ -67,14 +72,22 @@ def solve_static(
     *,
     method: Method = Collocation(),
     newton: NewtonOptions = NewtonOptions(),
+    tolerance: Optional[float] = None,
     throw: bool = True,
 ) -> StaticSolution:
     """The equilibrium reached by raising all loads together from zero.
 
+    Where several exist, it is the one that the unloaded rod moves to if the loads rise slowly.
+    Where that path ends, as in snapping or buckling, a heavily damped motion goes on from there.
+
     - `tensions` [N], (tendons,), and `pressures` [Pa], (chambers,): `None` leaves that
       actuator out.
     - `method`: how to solve along the rod; `Collocation` or `Shooting`.
+    - `tolerance`: refine the grid until the estimated error is below this many lengths of the
+      rod. Not under `jit`, `vmap` or `grad`.
     - `throw`: raise `SolveError` if there is no answer; else see `StaticSolution.result`.
+
+    Under `jit`, `vmap` and `grad` the damped motion is not tried: such a sample has a code.
 
     Works under `jit`, `vmap`, `grad` and `jacfwd`. Raises `ValueError` for inputs of the wrong
     shape, negative tensions, and without float64.
@@ -82,19 +95,65 @@ def solve_static(
     require_float64("solve_static")
     scene = as_arrays(scene)
     tensions, pressures = actuation("solve_static", scene, tensions, pressures, ndim=1)
-    solution = _solve_static(scene, tensions, pressures, method, newton)
+    arguments = (scene, tensions, pressures)
+    traced = any(isinstance(x, jax.core.Tracer) for x in jax.tree.leaves(arguments))
+    if tolerance is not None and (traced or not 0 < tolerance < 1):
+        raise ValueError(
+            f"solve_static: tolerance={tolerance}; a part of the rod's length in (0, 1) is needed, "
+            "and not under jit, vmap or grad: there, give a method with enough intervals"
+        )
+    solution = _solve(*arguments, method, newton, traced)
+    while tolerance is not None and int(solution.result) == 0:
+        if not solution.stats["error"] > tolerance:
+            break
+        # The estimate is a pessimist: two grids decide.
+        coarse, method = solution, method.finer()
+        solution = _solve(*arguments, method, newton, traced)
+        moved = jnp.linalg.norm(solution.tip_position - coarse.tip_position)
+        if moved <= tolerance * scene.length:
+            break
+        if 2 * method.intervals > _MOST_INTERVALS:
+            inaccurate = jnp.array(int(RESULTS.inaccurate), jnp.int32)
+            solution = eqx.tree_at(lambda x: x.result, solution, inaccurate)
     if throw:
         solution = raise_unless_successful(solution.result, solution, "solve_static")
     return solution
 
 
+def _solve(scene, tensions, pressures, method, options, traced):
+    solution = _solve_static(scene, tensions, pressures, method, options)
+    if not traced and int(solution.result) in (RESULTS.diverged, RESULTS.max_iterations):
+        return _settled(scene, tensions, pressures, method, options)
+    return solution
+
+
 @eqx.filter_jit
 def _solve_static(scene, tensions, pressures, method, options):
+    rod, valid, layout, guess = _problem(scene, tensions, pressures, method)
+    solved = solve_boundary_value(method, layout, options, rod, None, guess, search_by_load)
+    return _solution(scene, rod, method, solved, valid, jnp.zeros((), jnp.int32))
+
+
+@eqx.filter_jit
+def _settled(scene, tensions, pressures, method, options):
+    """By a damped motion, and Newton's method from where it comes to rest."""
+    rod, valid, layout, guess = _problem(scene, tensions, pressures, method)
+    rest = settle(method, layout, options, rod, guess)
+    solved = solve_boundary_value(method, layout, options, rod, None, rest.guess)
+    found = solved.found
+    moving = jnp.where(rest.at_rest, found.result, RESULTS.diverged).astype(jnp.int32)
+    solved = solved._replace(found=found._replace(result=moving))
+    return _solution(scene, rod, method, solved, valid, rest.steps)
+
+
+def _problem(scene, tensions, pressures, method):
     rod = make_rod(scene, tensions, pressures, dynamic=False)
     layout = Layout(attitude=rod.has_dead_load, dynamic=False)
     rod, valid = valid_actuation(rod)
-    guess = unloaded_guess(method, layout, rod)
-    solved = solve_boundary_value(method, layout, options, rod, None, guess, search_by_load)
+    return rod, valid, layout, unloaded_guess(method, layout, rod)
+
+
+def _solution(scene, rod, method, solved, valid, transient_steps):
     result = jnp.where(valid, solved.found.result, RESULTS.bad_input).astype(jnp.int32)
     fields = solved.fields
     positions, quaternions = method.shape(
@@ -115,6 +174,7 @@ def _solve_static(scene, tensions, pressures, method, options):
             "load_steps": solved.found.load_steps,
             "stable": solved.found.stable,
             "error": fields.error,
+            "transient_steps": transient_steps,
         },
         point_strains=fields.strain,
         method=method,
@@ -199,11 +259,3 @@ def search_by_load(equations: Equations, options: NewtonOptions, U):
     start = _Load(none, jnp.ones(()), U, found, U, none, zero, jnp.array(True))
     end = jax.lax.while_loop(lambda state: state.running, attempt, start)
     return end.U, end.found
-
-
-def scaled_loads(rod: Rod, factor) -> Rod:
-    """The rod with tensions, pressures, gravity and tip loads times `factor`."""
-    names = ("tau", "n_ch", "m_ch", "gravity", "weight", "F_tip", "M_tip")
-    present = [name for name in names if getattr(rod, name) is not None]
-    pick = lambda r: [getattr(r, name) for name in present]
-    return eqx.tree_at(pick, rod, [factor * x for x in pick(rod)])

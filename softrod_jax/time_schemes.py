@@ -6,6 +6,8 @@ the method along the rod), so that the history is kept at the order of that meth
 """
 
 import abc
+import itertools
+import math
 from typing import Callable
 
 import equinox as eqx
@@ -24,10 +26,14 @@ def _combine(*terms):
 
 
 class TimeScheme(eqx.Module):
-    """`start` makes a memory from the initial fields, `step` advances it."""
+    """`start` makes a memory from the initial fields, `step` advances it.
+
+    `error_constant`: C of the local error C dt^(order + 1) y^(order + 1).
+    """
 
     stages: eqx.AbstractVar[int]
     order: eqx.AbstractVar[int]
+    error_constant: eqx.AbstractVar[float]
 
     @abc.abstractmethod
     def coefficients(self, dt, restart: Bool[Array, "steps"]):
@@ -37,14 +43,16 @@ class TimeScheme(eqx.Module):
         """
 
     @abc.abstractmethod
-    def start(self, y):
-        """Memory of a rod at rest with the fields `y`."""
+    def start(self, y, guess):
+        """Memory of a rod at rest with the fields `y`; `guess`: of Newton's method there."""
 
     @abc.abstractmethod
     def step(self, memory, coefficients, solve: Callable, carry):
-        """One step: `solve(c0, y_h, carry) -> (y, carry)` for each stage in turn.
+        """One step: `solve(c0, y_h, at, carry) -> (y, carry)` for each stage in turn.
 
-        Returns the memory and the carry after the step.
+        `at`, in (0, 1]: the time of the stage in the step. `carry` is a named tuple; its field
+        `guess` is the last solution, and where Newton's method starts. Returns the memory and
+        the carry after the step.
         """
 
 
@@ -60,6 +68,11 @@ class BDFAlpha(TimeScheme):
     stages: int = eqx.field(static=True, default=1, init=False)
     order: int = eqx.field(static=True, default=2, init=False)
 
+    @property
+    def error_constant(self) -> float:
+        """Of a rate: d1 takes over the error of the rate before, hence (1 + alpha)."""
+        return 1 / 3 + self.alpha / 2
+
     def __check_init__(self):
         if not -0.5 <= self.alpha <= 0:
             raise ValueError(f"BDFAlpha: alpha={self.alpha!r} is outside [-0.5, 0]")
@@ -68,19 +81,23 @@ class BDFAlpha(TimeScheme):
         a = self.alpha
         c0 = (1.5 + a) / (dt * (1 + a))
         c2 = (0.5 + a) / (dt * (1 + a))
-        regular = jnp.stack([c0, -2 / dt, c2, a / (1 + a) * jnp.ones_like(c0)])
-        euler = jnp.stack([1 / dt, -1 / dt, 0 * dt, 0 * dt])
+        one = jnp.ones_like(c0)
+        # The last one: how far Newton's guess is extrapolated, in steps.
+        regular = jnp.stack([c0, -2 / dt, c2, a / (1 + a) * one, one])
+        euler = jnp.stack([1 / dt, -1 / dt, 0 * one, 0 * one, 0 * one])
         return jnp.where(restart[:, None], euler, regular)
 
-    def start(self, y):
-        return y, y, jax.tree.map(jnp.zeros_like, y)
+    def start(self, y, guess):
+        return y, y, jax.tree.map(jnp.zeros_like, y), guess
 
     def step(self, memory, coefficients, solve, carry):
-        y1, y2, y1_t = memory
-        c0, c1, c2, d1 = coefficients
+        y1, y2, y1_t, before = memory
+        c0, c1, c2, d1, ahead = coefficients
+        last = carry.guess
+        guess = jax.tree.map(lambda a, b: a + ahead * (a - b), last, before)
         history = _combine((c1, y1), (c2, y2), (d1, y1_t))
-        y, carry = solve(c0, history, carry)
-        return (y, y1, _combine((c0, y), (1.0, history))), carry
+        y, carry = solve(c0, history, 1.0, carry._replace(guess=guess))
+        return (y, y1, _combine((c0, y), (1.0, history)), last), carry
 
 
 _GAMMA_3 = 0.43586652150845899942  # root of x^3 - 3 x^2 + 3/2 x - 1/6 between 1/6 and 1/2
@@ -110,6 +127,7 @@ class SDIRK(TimeScheme):
     Solving ODEs II, table IV.6.5); 2, 3 and 5 solves along the rod a step.
 
     One-step: a jump of an input costs no accuracy. All stages share c0 = 1/(gamma dt).
+    Newton's method starts from a polynomial through up to three earlier stages.
     Raises `ValueError` for another order.
     """
 
@@ -123,46 +141,86 @@ class SDIRK(TimeScheme):
     def stages(self) -> int:
         return len(_SDIRK[self.order])
 
+    @property
+    def error_constant(self) -> float:
+        """From the stability function R(z) - exp(z) at a small z."""
+        A, z = self._table(diagonal=True), 0.05j
+        R = np.linalg.solve(np.eye(self.stages) - z * A, np.ones(self.stages))[-1]
+        return float(abs(R - np.exp(z)) / abs(z) ** (self.order + 1))
+
+    def _table(self, diagonal: bool) -> np.ndarray:
+        rows = _SDIRK[self.order]
+        table = np.zeros((len(rows), len(rows)))
+        for i, row in enumerate(rows):
+            count = len(row) - (not diagonal)
+            table[i, :count] = row[:count]
+        return table
+
     def coefficients(self, dt, restart):
         return jnp.broadcast_to(dt, restart.shape)
 
-    def start(self, y):
+    def start(self, y, guess):
         return (y,)
 
     def step(self, memory, coefficients, solve, carry):
-        (y0,), dt, rows = memory, coefficients, _SDIRK[self.order]
-        stages, gamma = len(rows), rows[0][0]
-        table = np.zeros((stages, stages))
-        for i, row in enumerate(rows):
-            table[i, : len(row) - 1] = row[:-1]
-        c0 = 1 / (gamma * dt)
+        (y0,), dt = memory, coefficients
+        table, at = self._table(diagonal=False), self._table(diagonal=True).sum(1)
+        c0 = 1 / (_SDIRK[self.order][0][0] * dt)
 
         # A scan and not a Python loop: the solve along the rod is compiled once.
         def stage(state, row):
-            y, rates, carry, i = state
-            past = jax.tree.map(lambda k: jnp.tensordot(row, k, 1), rates)
-            history = _combine((-c0, y0), (-1 / gamma, past))
-            y, carry = solve(c0, history, carry)
-            y_t = _combine((c0, y), (1.0, history))
-            rates = jax.tree.map(lambda k, new: k.at[i].set(new), rates, y_t)
-            return (y, rates, carry, i + 1), None
+            y, rates, guesses, carry, i = state
+            weights, c, predictor = row
+            combine = lambda w, tree: jax.tree.map(lambda k: jnp.tensordot(w, k, 1), tree)
+            keep = lambda tree, i, new: jax.tree.map(lambda k, x: k.at[i].set(x), tree, new)
+            history = _combine((-c0, y0), (-c0 * dt, combine(weights, rates)))
+            guess = combine(predictor, guesses)
+            y, carry = solve(c0, history, c, carry._replace(guess=guess))
+            rates = keep(rates, i, _combine((c0, y), (1.0, history)))
+            guesses = keep(guesses, i + 1, carry.guess)
+            return (y, rates, guesses, carry, i + 1), None
 
-        none = jax.tree.map(lambda x: jnp.zeros((stages, *x.shape)), y0)
-        (y, _, carry, _), _ = jax.lax.scan(stage, (y0, none, carry, 0), jnp.array(table))
+        none = lambda tree, n: jax.tree.map(lambda x: jnp.zeros((n, *x.shape)), tree)
+        guesses = none(carry.guess, self.stages + 1)
+        guesses = jax.tree.map(lambda k, x: k.at[0].set(x), guesses, carry.guess)
+        rows = jnp.array(table), jnp.array(at), jnp.array(_predictors(at))
+        start = (y0, none(y0, self.stages), guesses, carry, 0)
+        (y, _, _, carry, _), _ = jax.lax.scan(stage, start, rows)
         return (y,), carry
 
 
-def jumps(inputs: Float[Array, "steps channels"]) -> Bool[Array, "steps"]:
-    """Whether an input jumps at the beginning of each step; the first step always counts.
+def _predictors(at) -> np.ndarray:
+    """Weights (stages, stages + 1) of the start and the stages before each: its guess.
+
+    Lagrange's, through those (up to three) earlier times for which they are smallest.
+    """
+    times = np.concatenate([[0.0], at])
+    rows = np.zeros((len(at), len(at) + 1))
+    for i, c in enumerate(at):
+        best = None
+        for chosen in itertools.combinations(range(i + 1), min(3, i + 1)):
+            weights = [
+                math.prod((c - times[k]) / (times[j] - times[k]) for k in chosen if k != j)
+                for j in chosen
+            ]
+            size = sum(map(abs, weights))
+            if best is None or size < best[0]:
+                best = size, chosen, weights
+        rows[i, list(best[1])] = best[2]
+    return rows
+
+
+def jumps(inputs: Float[Array, "steps channels"]) -> Bool[Array, "steps channels"]:
+    """Where an input jumps at the beginning of a step; at the first, all do.
 
     A jump changes an input by over 2 % of its range, and by over three times as much as the
     steps before and after it do: samples of a ramp, however steep, are not jumps.
     """
     if inputs.shape[0] == 1:
-        return jnp.ones(1, dtype=bool)
+        return jnp.ones(inputs.shape, dtype=bool)
     change = jnp.abs(jnp.diff(inputs, axis=0))
     range_ = jnp.max(inputs, axis=0) - jnp.min(inputs, axis=0)
     edge = jnp.zeros_like(change[:1])
     before, after = jnp.concatenate([edge, change[:-1]]), jnp.concatenate([change[1:], edge])
     jump = (change > 3 * jnp.maximum(before, after)) & (change > 0.02 * range_)
-    return jnp.concatenate([jnp.ones(1, dtype=bool), jnp.any(jump, axis=1)])
+    return jnp.concatenate([jnp.ones_like(jump[:1]), jump])
