@@ -185,7 +185,7 @@ def solve_boundary_value(
     equations = Equations(method, layout, rod, history, strain)
     if history is not None:
         ok = result == RESULTS.successful
-        equations = equations._replace(history=_slow_unless(ok, history))
+        equations = equations._replace(history=slow_unless(ok, history))
         U = jnp.where(ok, U, equations.start(jax.lax.stop_gradient(guess)))
     fields = equations.fields(U)
     failed = (result == RESULTS.diverged) | (result == RESULTS.max_iterations)
@@ -198,7 +198,7 @@ def solve_boundary_value(
     return Solved(fields, found._replace(result=result))
 
 
-def _slow_unless(ok, history: History) -> History:
+def slow_unless(ok, history: History) -> History:
     """The history, or that of a rod almost at rest.
 
     Where a sample has failed, derivatives may overflow, and 0 * inf is NaN in the reverse pass.
@@ -231,7 +231,7 @@ def _solve_jvp(primals, tangents, *, method, layout, options, search):
     def equations(dynamic):
         rod, history = eqx.combine(dynamic, static)
         if history is not None:
-            history = _slow_unless(ok, history)
+            history = slow_unless(ok, history)
         return Equations(method, layout, rod, history, guess.strain)
 
     def by_inputs(dynamic):

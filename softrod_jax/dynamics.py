@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from softrod_jax.boundary_value import solve_boundary_value
+from softrod_jax.boundary_value import scaled_loads, slow_unless, solve_boundary_value
 from softrod_jax.collocation import Collocation
 from softrod_jax.inertial_search import search_by_inertia
 from softrod_jax.inputs import actuation, valid_actuation
@@ -154,10 +154,17 @@ def _within(run, scene, dt, method, scheme, substeps, tolerance, may_refine_grid
             break
         n = max(1, n // 2)
     chosen = {"substeps": n, "intervals": method.intervals}
+    failed_step = found.failed_step
+    if result == RESULTS.inaccurate and failed_step < 0:
+        failed_step = jnp.argmax(jnp.asarray(error) > tolerance)
     return eqx.tree_at(
-        lambda t: (t.result, t.stats),
+        lambda t: (t.result, t.failed_step, t.stats),
         found,
-        (jnp.array(int(result), jnp.int32), {**found.stats, "time_error": error, **chosen}),
+        (
+            jnp.array(int(result), jnp.int32),
+            failed_step,
+            {**found.stats, "time_error": error, **chosen},
+        ),
     )
 
 
@@ -208,7 +215,7 @@ def _simulate(
     inputs = (tensions, pressures)
     rod, _ = rod_under(*jax.tree.map(lambda x: x[0], inputs))
     layout = Layout(attitude=rod.has_dead_load, dynamic=True)
-    guess = unloaded_guess(method, layout, rod)
+    guess = unloaded = unloaded_guess(method, layout, rod)
     if strain is not None:
         guess = guess._replace(strain=strain)
     fields = _Fields(guess.strain, jnp.zeros_like(guess.strain))
@@ -222,13 +229,15 @@ def _simulate(
             rod, valid = rod_under(
                 *jax.tree.map(lambda a, b: b + progress * (a - b), now, before)
             )
+            # After a failure, an unloaded rod at rest costs a batch no iterations.
+            alive = running.result == RESULTS.successful
             solved = solve_boundary_value(
                 method,
                 layout,
                 options,
-                rod,
-                History(c0, history.strain, history.velocity),
-                running.guess,
+                scaled_loads(rod, jnp.where(alive, 1.0, 0.0)),
+                slow_unless(alive, History(c0, history.strain, history.velocity)),
+                jax.tree.map(lambda a, b: jnp.where(alive, a, b), running.guess, unloaded),
                 search_by_inertia,
             )
             found, fields = solved.found, solved.fields

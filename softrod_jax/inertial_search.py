@@ -17,7 +17,8 @@ from softrod_jax.results import RESULTS
 from softrod_jax.rod_ode import History
 
 # The shortest first try, and the shortest advance, as parts of the step.
-_FIRST_RETRY, _SMALLEST = 1 / 8, 1e-4
+_FIRST_RETRY, _SMALLEST = 1 / 8, 1e-3
+_MAX_TRIES = 20
 
 
 class _Part(NamedTuple):
@@ -27,6 +28,7 @@ class _Part(NamedTuple):
     advance: Array
     U: Array
     found: Found
+    tries: Array
     running: Array
 
 
@@ -63,11 +65,16 @@ def search_by_inertia(equations: Equations, options: NewtonOptions, U):
                 iterations=past.iterations + found.iterations,
                 load_steps=past.load_steps + ok,
             ),
-            running=~(ok & (part >= 1.0)) & (ok | (advance >= _SMALLEST)),
+            tries=state.tries + 1,
+            running=~(ok & (part >= 1.0))
+            & (ok | (advance >= _SMALLEST))
+            & (state.tries < _MAX_TRIES),
         )
 
     zero, none = jnp.zeros((), jnp.int32), jnp.zeros(())
     found = Found(zero, zero, none, none, zero, jnp.array(True))
-    start = _Part(none, jnp.ones(()), U, found, jnp.array(True))
+    start = _Part(none, jnp.ones(()), U, found, zero, jnp.array(True))
     end = jax.lax.while_loop(lambda state: state.running, attempt, start)
-    return end.U, end.found
+    whole = (end.found.result != RESULTS.successful) | (end.done >= 1.0)
+    result = jnp.where(whole, end.found.result, RESULTS.diverged).astype(jnp.int32)
+    return end.U, end.found._replace(result=result)

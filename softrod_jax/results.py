@@ -30,8 +30,8 @@ _MESSAGES = {
         "path to nothing; lower the tensions, or raise young_modulus"
     ),
     RESULTS.diverged: (
-        "Newton's method found no descent along the rod; take a smaller dt, or raise the loads "
-        "in smaller steps"
+        "Newton's method found no way on, nor did a continuation in the load or the time step; "
+        "take a smaller dt, or smaller loads"
     ),
     RESULTS.max_iterations: (
         "Newton's method did not converge in the iterations allowed; raise max_iterations, or "

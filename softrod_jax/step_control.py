@@ -20,7 +20,7 @@ _STEPS_PER_RADIAN = 2
 # 2^order - 1 with a safety factor of 4.
 _SAFETY = 4.0
 # Failures that shorter steps may cure, and how many times shorter they are tried.
-_RETRY, _RETRIES = (RESULTS.diverged, RESULTS.max_iterations), 16
+_RETRY, _RETRIES = (RESULTS.diverged, RESULTS.max_iterations), 4
 
 
 def first_substeps(rod: Rod, dt: float, tolerance: float) -> int:

@@ -374,7 +374,8 @@ def test_the_energy_of_a_released_rod_never_grows(scheme, scene, drive):
     energies = energy(free, *actuation, motion.positions, motion.strains, motion.velocities)
     least = energy(free, *actuation, end.positions, end.strains, jnp.zeros((25, 6)))
     excess = np.array(energies - least)
-    assert np.all(np.diff(excess) <= 1e-4 * excess[0] + 1e-13)
+    # The first is a millionth of what is to be lost, the second of rounding errors.
+    assert np.all(np.diff(excess) <= 1e-6 * excess[0] + 1e-12)
 
 
 @given(scenes, drives)

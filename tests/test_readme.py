@@ -90,7 +90,6 @@ def test_the_scene_file(folder):
 @pytest.mark.long
 def test_the_code_and_the_commands(folder):
     """In the order of the page: what one writes, the next may read."""
-    example, calibration = blocks("python")
     commands = {c.split()[1]: shlex.split(c) for c in blocks("sh")[2].splitlines()}
     environment = {**os.environ, "JAX_COMPILATION_CACHE_DIR": str(folder / "cache")}
 
@@ -110,4 +109,4 @@ def test_the_code_and_the_commands(folder):
     assert (folder / "fitted" / "parameters.json").exists()
     softrod("doctor")
     assert not commands
-    run("-c", example + calibration)
+    run("-c", "".join(blocks("python")))

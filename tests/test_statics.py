@@ -10,6 +10,7 @@ import pytest
 from problems import CLOSED_FORMS
 
 import softrod_jax as sr
+from softrod_jax.scene import as_arrays
 
 SHARED = Path(__file__).parents[2] / "shared" / "reference"
 FINE = {4: sr.Collocation(40, order=4), 6: sr.Collocation(16, order=6)}
@@ -114,27 +115,23 @@ def test_batch_equals_loop_and_a_bad_sample_spoils_nothing():
     scene = sr.hybrid_robot()
     tensions = jnp.array([[0.1, 0.0, 0.0], [3.0, 0.0, 0.0], [0.5, 0.2, 0.0], [-1.0, 0, 0]])
 
-    def solve(tau):
-        return sr.solve_static(scene, tau, throw=False)
+    def solve(tau, E):
+        softer = sr.Scene(**{**vars(scene), "young_modulus": E})
+        return sr.solve_static(softer, tau, throw=False)
 
-    batch = jax.vmap(solve)(tensions)
+    batched = jax.jit(jax.vmap(solve, (0, None)))
+    batch = batched(tensions, 5e4)
     assert batch.result.tolist() == [0, 1, 0, 4]
     for i in (0, 2):
         one = sr.solve_static(scene, tensions[i])
         np.testing.assert_allclose(batch.tip_position[i], one.tip_position, atol=1e-14)
 
     def loss(E):
-        s = jax.vmap(lambda tau: sr.solve_static(
-            sr.Scene(**{**vars(scene), "young_modulus": E}), tau, throw=False))(tensions)
+        s = batched(tensions, E)
         return jnp.sum(jnp.where(s.result[:, None] == 0, s.tip_position**2, 0.0))
 
-    def loss_of_good(E):
-        s = jax.vmap(lambda tau: sr.solve_static(
-            sr.Scene(**{**vars(scene), "young_modulus": E}), tau, throw=False))(tensions[::2])
-        return jnp.sum(s.tip_position**2)
-
-    with_bad, without = jax.grad(loss)(5e4), jax.grad(loss_of_good)(5e4)
-    np.testing.assert_allclose(with_bad, without, rtol=1e-10)
+    slope = (8 * (loss(5e4 + 50) - loss(5e4 - 50)) - (loss(5e4 + 100) - loss(5e4 - 100))) / 600
+    np.testing.assert_allclose(jax.grad(loss)(5e4), slope, rtol=1e-7)
 
 
 def test_errors_are_raised_under_jit_too():
@@ -164,3 +161,34 @@ def test_inputs_without_an_actuator():
     scene = sr.Scene(**{**vars(sr.hybrid_robot()), "tendons": None})
     with pytest.raises(ValueError, match="no tendons"):
         sr.solve_static(scene, (1.0,))
+
+
+def upright(**loads):
+    return as_arrays(
+        sr.Scene(**{**vars(sr.hybrid_robot()), "gravity": jnp.array([0.0, 0.0, -9.81]), **loads})
+    )
+
+
+def test_a_nearly_perfect_column_buckles():
+    """rho A g L^3 / EI = 23 is above 7.84: the path of equilibria is not the straight one."""
+    push = lambda force: sr.TipLoad(force=jnp.array([force, 0.0, 0.0]))
+    perfect = sr.solve_static(upright())
+    assert not perfect.stats["stable"]
+    clear, slight = (sr.solve_static(upright(tip_load=push(f))) for f in (1e-4, 1e-7))
+    assert clear.stats["stable"] and slight.stats["stable"]
+    assert slight.stats["transient_steps"] > 0
+    assert slight.tip_position[0] > 0.05
+    np.testing.assert_allclose(slight.tip_position, clear.tip_position, atol=1e-4)
+    batch = jax.vmap(lambda f: sr.solve_static(upright(tip_load=push(f)), throw=False))
+    assert batch(jnp.array([1e-7, 1e-3])).result.tolist() == [sr.RESULTS.diverged, 0]
+
+
+def test_a_tolerance_is_kept_in_statics():
+    scene = sr.hybrid_robot(gravity=jnp.array([-9.81, 0.0, 0.0]))
+    coarse = sr.Collocation(4, order=4)
+    rough = sr.solve_static(scene, method=coarse, throw=False)
+    fine = sr.solve_static(scene, method=coarse, tolerance=1e-4)
+    best = sr.solve_static(scene)
+    assert np.abs(rough.tip_position - best.tip_position).max() > 1e-5
+    assert np.abs(fine.tip_position - best.tip_position).max() < 1e-5
+    assert rough.stats["error"] > 1e-4

@@ -21,6 +21,8 @@ from calibration.cli.common import (
 
 # More is a typing error, and would fill the memory before it is noticed.
 _MOST_STEPS = 10_000_000
+# Estimated errors of the tip, in lengths of the rod, that deserve a note.
+_LARGE_ERROR = 1e-2
 
 
 def add_arguments(parser) -> None:
@@ -45,12 +47,34 @@ def add_arguments(parser) -> None:
     )
     parser.add_argument("--out", metavar="FILE.csv", help="write the motion, as a log")
     parser.add_argument("--json", action="store_true", help="the whole motion as JSON on stdout")
-    # Options of the time stepping go here and into `_solver_options`.
+    parser.add_argument(
+        "--tolerance",
+        type=positive,
+        metavar="X",
+        help="divide the steps until the tip's estimated error is below X lengths of the rod",
+    )
+    parser.add_argument(
+        "--alpha",
+        type=float,
+        metavar="A",
+        help="BDF-alpha in time, -0.5 to 0, instead of SDIRK of order 4",
+    )
 
 
 def _solver_options(args) -> dict:
     """What the command line says about the time stepping, for `simulate`."""
-    return {"dt": args.dt}
+    import softrod_jax as sr
+
+    options = {"dt": args.dt}
+    if args.tolerance is not None:
+        if args.tolerance >= 1:
+            raise UsageError(f"--tolerance {args.tolerance:g}: a part of the length, below 1")
+        options["tolerance"] = args.tolerance
+    if args.alpha is not None:
+        if not -0.5 <= args.alpha <= 0:
+            raise UsageError(f"--alpha {args.alpha:g}: from -0.5 to 0")
+        options["scheme"] = sr.BDFAlpha(args.alpha)
+    return options
 
 
 def run(args) -> int:
@@ -68,7 +92,7 @@ def run(args) -> int:
         initial = sr.solve_static(scene, _row(tensions, 0), _row(pressures, 0), throw=False)
         if int(initial.result) != 0:
             reason = f"--from-static: {sr.result_message(initial.result)}"
-            return _report(args, reason, [0.0], [None], 0, 0)
+            return _report(args, reason, [0.0], [None], 0, 0, None)
     traj = sr.simulate(
         scene,
         tensions=_row(tensions, slice(1, None)),
@@ -86,7 +110,13 @@ def run(args) -> int:
     if args.out is not None:
         _write(args.out, scene, np.asarray(traj.ts), tensions, pressures, tips)
     rows = [None if np.isnan(tip).any() else tip.tolist() for tip in tips]
-    return _report(args, sr.result_message(traj.result), traj.ts.tolist(), rows, steps, failed_step)
+    message, error = sr.result_message(traj.result), float(traj.stats["time_error"][-1])
+    if succeeded and error > _LARGE_ERROR:
+        note(
+            f"the tip's error is estimated at {error:.2g} lengths of the rod: take a smaller --dt, "
+            "or give a --tolerance"
+        )
+    return _report(args, message, traj.ts.tolist(), rows, steps, failed_step, error)
 
 
 def _inputs(args, scene):
@@ -158,7 +188,7 @@ def _write(path, scene, ts, tensions, pressures, tips) -> None:
     write_log(path, ts, tensions, pressures, tips)
 
 
-def _report(args, result, ts, tips, steps, failed_step) -> int:
+def _report(args, result, ts, tips, steps, failed_step, error) -> int:
     if args.json:
         print_json(
             {
@@ -167,6 +197,7 @@ def _report(args, result, ts, tips, steps, failed_step) -> int:
                 "tip_position": tips,
                 "steps": steps,
                 "failed_step": failed_step,
+                "time_error": None if failed_step is not None else error,
             }
         )
     elif failed_step is None:
