@@ -61,6 +61,7 @@ def asked(monkeypatch):
             tip_positions=np.stack([0.01 * ts, 0 * ts, 0.1 + 0 * ts], axis=1),
             result=np.array(0 if asked.failed_step < 0 else 2),
             failed_step=np.array(asked.failed_step),
+            stats={"time_error": np.full(inputs["steps"], 1e-5)},
         )
 
     monkeypatch.setattr(sr, "solve_static", solve_static)
@@ -368,3 +369,13 @@ def test_as_a_process_that_cannot_keep_a_cache(tmp_path):
     assert done.stdout == ""
     assert done.stderr.startswith("softrod: error: --tension 1 -1 0")
     assert "Traceback" not in done.stderr
+
+
+def test_simulate_to_a_tolerance_or_by_bdf_alpha(capsys, asked):
+    argv = ["simulate", "robot.toml", "--dt", "0.01", "--duration", "0.05"]
+    status, _, _ = run(capsys, *argv, "--tolerance", "1e-4", "--alpha", "-0.2")
+    assert status == 0
+    assert asked.motion.tolerance == 1e-4 and asked.motion.scheme == sr.BDFAlpha(-0.2)
+    for option, value in (("--tolerance", "2"), ("--alpha", "0.3")):
+        status, _, err = run(capsys, *argv, option, value)
+        assert status == 2 and option in err and value in err
