@@ -225,9 +225,10 @@ def _simulate(
         memory, running = state
 
         def solve(c0, history, at, running):
-            progress = first + at / substeps
+            # Not above 1 by rounding: a tension that falls to zero would become negative.
+            progress = jnp.minimum(first + at / substeps, 1.0)
             rod, valid = rod_under(
-                *jax.tree.map(lambda a, b: b + progress * (a - b), now, before)
+                *jax.tree.map(lambda a, b: progress * a + (1 - progress) * b, now, before)
             )
             # After a failure, an unloaded rod at rest costs a batch no iterations.
             alive = running.result == RESULTS.successful

@@ -185,6 +185,13 @@ def test_a_tolerance_is_kept():
         jax.jit(lambda dt: sr.simulate(scene, dt, steps=10, tolerance=1e-4))(0.03)
 
 
+def test_tensions_that_fall_to_zero_stay_above_it():
+    """Between samples inputs are interpolated, and rounding must not make a tendon push."""
+    tensions = np.outer(np.maximum(0.0, 0.3 - 0.01 * np.arange(60)), [1.0, 1 / 3, 0.7])
+    motion = sr.simulate(sr.hybrid_robot(), 0.01, tensions)
+    assert motion.result == 0
+
+
 def test_a_tension_without_equilibrium_is_reported():
     scene = sr.hybrid_robot()
     tensions = np.zeros((60, 3))
