@@ -64,7 +64,8 @@ class Bar(Meter):
         self._title = ""
         self._best = np.inf
         self._values = ""
-        self._live = Live(get_renderable=self._render, console=Console(stderr=True))
+        self._console = Console(stderr=True)
+        self._live = Live(get_renderable=self._render, console=self._console)
 
     def __enter__(self):
         self._live.start()
@@ -73,6 +74,8 @@ class Bar(Meter):
     def __exit__(self, *error):
         self._finish()
         self._live.stop()
+        if not self._console.is_terminal:
+            self._console.line()  # rich ends the last picture in a file without one
 
     def stage(self, title, total):
         first = self._task is None

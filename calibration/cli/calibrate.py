@@ -69,7 +69,7 @@ def run(args) -> int:
 
     try:
         from calibration import calibrate
-        from calibration.report import write_report
+        from calibration.report import summary, write_report
     except ImportError as e:
         raise UsageError(f"{e}: pip install 'softrod_jax[calibration]'") from None
 
@@ -87,7 +87,7 @@ def run(args) -> int:
     if args.json:
         print((out / "parameters.json").read_text(encoding="utf-8"))
     else:
-        print(f"parameters, report and plots are in {out}")
+        print(f"\n{summary(fit)}\nparameters, report and plots are in {out}")
     return 0
 
 
