@@ -40,18 +40,20 @@ def programs(tension: bool):
     def static(values):
         return sr.solve_static(with_values(scene, values), one, throw=False).tip_position
 
-    def motion(values):
+    def motion(values, scheme=sr.BDFAlpha()):
         moved = with_values(scene, values)
-        return sr.simulate(moved, DT, many, steps=steps, throw=False).tip_positions
+        options = dict(steps=steps, scheme=scheme, throw=False)
+        return sr.simulate(moved, DT, many, **options).tip_positions
 
     def loss(values):
         return jnp.sum(motion(values) ** 2)
 
     return values, {
         "static solve": (static, 1),
-        "step": (motion, STEPS),
-        "step and reverse gradient": (jax.value_and_grad(loss), STEPS),
-        "step and forward Jacobian": (jax.jacfwd(motion), STEPS),
+        "step of `SDIRK(4)`": (lambda values: motion(values, sr.SDIRK(4)), STEPS),
+        "step of `BDFAlpha(-0.45)`": (motion, STEPS),
+        "the same and reverse gradient": (jax.value_and_grad(loss), STEPS),
+        "the same and forward Jacobian": (jax.jacfwd(motion), STEPS),
     }
 
 
