@@ -1,18 +1,18 @@
 """Stress test: random scenes far beyond the ordinary, each against a refined solution.
 
-    python benchmarks/stress.py [--scenes 1000] [--seed 0] [--write-readme]
+    python benchmarks/stress.py [--scenes 1000] [--seed 0]
 
 Half of the scenes are equilibria, half are motions of 20 steps. They span length 0.02 to 1 m,
 slenderness L/r 5 to 150, Young's modulus 3e4 to 2e11 Pa, density 900 to 8000 kg/m^3, damping
 B/EI 1e-5 to 3e-2 s, dt 1e-5 to 5e-2 s, gravity up to rho A g L^3 / EI = 50, tensions up to 90 %
 of where a tendon's path vanishes, pressures, tip loads, payloads and drag; inputs step or ramp.
-Numbers change and programs do not, so that it compiles a handful of times.
+Numbers change and programs do not, so that it compiles a handful of times. A scene that takes over
+5 s, has no answer, or is off by over 1e-3 lengths is printed; in the end, counts.
 """
 
 import argparse
 import time
 from collections import Counter
-from pathlib import Path
 
 import jax
 
@@ -20,13 +20,11 @@ jax.config.update("jax_enable_x64", True)
 
 import jax.numpy as jnp
 import numpy as np
-from report import machine, publish, table
 
 import softrod_jax as sr
 from softrod_jax.scene import as_arrays
 
 STEPS, TOLERANCE, WRONG = 20, 1e-3, 1e-2
-FIGURE = Path(__file__).parent / "figures" / "stress.png"
 GRIDS = sr.Collocation(), sr.Collocation(24)
 
 
@@ -139,7 +137,6 @@ if __name__ == "__main__":
     parser = argparse.ArgumentParser()
     parser.add_argument("--scenes", type=int, default=1000)
     parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--write-readme", action="store_true")
     options = parser.parse_args()
     rows = run(options.scenes, options.seed)
     for kind in ("equilibrium", "motion"):

@@ -18,10 +18,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from softrod_jax.constitutive import compliance, imbalance, recover_strain
+from softrod_jax.constitutive import imbalance, recover_strain
 from softrod_jax.method import Fields, Guess, Linear, Method
 from softrod_jax.rod import Rod
-from softrod_jax.rod_ode import Layout, partial_derivatives, pointwise_problem, rates
+from softrod_jax.rod_ode import Layout, pointwise_problem, rates, rod_ode_jacobian
 from softrod_jax.shape import integrate_shape
 
 
@@ -136,11 +136,9 @@ class Collocation(Method):
     def linearise(self, U, rod: Rod, layout: Layout, history, guess) -> Linear:
         """The derivative of `residual`, strains and inner states eliminated."""
         formula, h = self._formula, rod.L / self.intervals
-        y, strain, problem = self._split(U, rod, layout, history)
-        f_y, f_strain = partial_derivatives(y, strain, rod, layout, history)
-        C = compliance(problem, strain)
-        by_wrench = f_strain @ C
-        A = self._by_stage(f_y.at[..., -6:].add(by_wrench))
+        y, strain, _ = self._split(U, rod, layout, history)
+        at = rod_ode_jacobian(self.points(rod.L), y, strain, rod, layout, history)
+        A = self._by_stage(at.state)
         eye = jnp.eye(layout.size)
         # G_r = df_r/dY_k and df_r/dY_{k+1}, by the chain rule through the stages.
         by_left, by_right, stages = [A[0], 0.0], [0.0, A[1]], []
@@ -152,7 +150,7 @@ class Collocation(Method):
             stages.append((A_r, left, right))
         left = -eye - h * sum(b * G for b, G in zip(formula.b, by_left))
         right = eye - h * sum(b * G for b, G in zip(formula.b, by_right))
-        strains = None if rod.tau is None else (C, by_wrench)
+        strains = None if rod.tau is None else (at.compliance, at.wrench)
         return Linear(left, right, (h, stages, strains))
 
     def condense(self, inner, residual: "_Residual"):

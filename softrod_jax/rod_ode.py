@@ -92,16 +92,30 @@ def rod_ode(
     return Rates(rates(y, strain, rod, layout, history), strain, solvable)
 
 
+class Jacobian(NamedTuple):
+    """Derivatives with the strains at the solution of their pointwise problem.
+
+    - `state`: d(dy/ds)/dy, (*points, n, n), the strains following.
+    - `compliance`: d(v, u)/d(N, M), (*points, 6, 6); `wrench`: what follows from it alone for
+      dy/ds, (*points, n, 6).
+    """
+
+    state: Float[Array, "*points n n"]
+    compliance: Float[Array, "*points 6 6"]
+    wrench: Float[Array, "*points n 6"]
+
+
 def rod_ode_jacobian(
     s, y: Points, strain, rod: Rod, layout: Layout, history: Optional[History]
-) -> Float[Array, "*points n n"]:
-    """d(dy/ds)/dy, with the strains at the solution of their pointwise problem.
+) -> Jacobian:
+    """The derivative of `rod_ode` by y.
 
     Written out, because 16 forward tangents of `rod_ode` cost several times as much.
     """
-    f_y, f_strain = partial_derivatives(y, strain, rod, layout, history)
+    f_y, f_strain = _partial_derivatives(y, strain, rod, layout, history)
     C = compliance(pointwise_problem(s, y, rod, history), strain)
-    return f_y.at[..., -6:].add(f_strain @ C)
+    by_wrench = f_strain @ C
+    return Jacobian(f_y.at[..., -6:].add(by_wrench), C, by_wrench)
 
 
 def pointwise_problem(s, y, rod, history):
@@ -135,7 +149,7 @@ def rates(y, strain, rod, layout, history):
     return layout.join(h_s, q_s, w_s, N_s, M_s)
 
 
-def partial_derivatives(y, strain, rod, layout, history):
+def _partial_derivatives(y, strain, rod, layout, history):
     """Of `rates`: by y at fixed strain, (*points, n, n), and by the strain, (*points, n, 6)."""
     h, q, w, N, M = layout.split(y)
     v, u = strain[..., :3], strain[..., 3:]

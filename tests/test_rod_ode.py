@@ -118,7 +118,7 @@ def test_jacobian_is_the_derivative(attitude, tendons):
     y, history = random_point(4, layout)
     guess = jnp.array([0.0, 0, 1, 0, 0, 0])
     rates = rod_ode(0.0, y, rod, layout, history, guess)
-    written = rod_ode_jacobian(0.0, y, rates.strain, rod, layout, history)
+    written = rod_ode_jacobian(0.0, y, rates.strain, rod, layout, history).state
     derived = jax.jacfwd(lambda y: rod_ode(0.0, y, rod, layout, history, guess).y_s)(y)
     size = np.abs(derived).max(axis=1, keepdims=True)
     np.testing.assert_allclose(written / size, derived / size, atol=1e-13)
@@ -131,7 +131,7 @@ def test_static_jacobian_is_the_derivative():
     y = jnp.concatenate([y[:4], y[-6:]])
     guess = jnp.array([0.0, 0, 1, 0, 0, 0])
     rates = rod_ode(0.0, y, rod, layout, None, guess)
-    written = rod_ode_jacobian(0.0, y, rates.strain, rod, layout, None)
+    written = rod_ode_jacobian(0.0, y, rates.strain, rod, layout, None).state
     derived = jax.jacfwd(lambda y: rod_ode(0.0, y, rod, layout, None, guess).y_s)(y)
     np.testing.assert_allclose(written, derived, rtol=1e-10, atol=1e-12)
 
