@@ -18,7 +18,6 @@ import jax
 
 jax.config.update("jax_enable_x64", True)
 
-import jax.numpy as jnp
 import numpy as np
 
 import softrod_jax as sr
@@ -124,7 +123,8 @@ def run(count, seed):
         rows.append(row)
         bad = row["result"] != "successful" or row["error"] > 1e-3
         if bad or k % 50 < 2 or took > 5:
-            print({n: f"{v:.3g}" if isinstance(v, float) else v for n, v in row.items()}, flush=True)
+            shown = {n: f"{v:.3g}" if isinstance(v, float) else v for n, v in row.items()}
+            print(shown, flush=True)
     return rows
 
 

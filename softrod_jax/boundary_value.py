@@ -176,7 +176,8 @@ def solve_boundary_value(
 ) -> Solved:
     """Solve along the rod. Differentiable in `rod` and `history`.
 
-    A sample that fails keeps its last iterate, and its derivative is zero.
+    A sample that fails has the derivative zero. In statics it keeps its last iterate, in a
+    motion it falls back to `guess`.
     """
     U, found = _solve(
         (rod, history), guess, method=method, layout=layout, options=options, search=search

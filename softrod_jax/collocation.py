@@ -61,8 +61,8 @@ class Collocation(Method):
 
     `order` 4 (Hermite-Simpson) or 6. The default, 12 intervals of order 6, was measured against
     20 of order 4: a quarter of the error or less (statics under gravity and curls of several
-    turns, the paper's rod), in the same time or less. Raises `ValueError` for any other order, or fewer than
-    one interval.
+    turns, the paper's rod), in the same time or less. Raises `ValueError` for any other order, or
+    fewer than one interval.
     """
 
     intervals: int = eqx.field(static=True, default=12)

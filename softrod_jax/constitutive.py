@@ -95,7 +95,7 @@ def _paths(problem: LocalProblem, x):
 
 def shortest_path(rod: Rod, strain: Strain):
     """The least |v + u x r_i| of any tendon anywhere: 0 where it has no length left."""
-    problem = LocalProblem(rod.K_se, strain, rod.tau, *rod.tendons.routing(0.0))
+    problem = LocalProblem(None, None, rod.tau, *rod.tendons.routing(0.0))
     return jnp.min(_paths(problem, strain)[1])
 
 

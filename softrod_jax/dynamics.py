@@ -11,8 +11,8 @@ from jaxtyping import Array, Float, Int
 from softrod_jax.boundary_value import scaled_loads, slow_unless, solve_boundary_value
 from softrod_jax.collocation import Collocation
 from softrod_jax.inertial_search import search_by_inertia
-from softrod_jax.inputs import actuation, valid_actuation
-from softrod_jax.method import Guess, Method
+from softrod_jax.inputs import actuation, is_traced, valid_actuation
+from softrod_jax.method import MOST_INTERVALS, Guess, Method
 from softrod_jax.newton import NewtonOptions
 from softrod_jax.precision import require_float64
 from softrod_jax.results import RESULTS, raise_unless_successful
@@ -24,8 +24,8 @@ from softrod_jax.statics import StaticSolution, unloaded_guess
 from softrod_jax.step_control import first_substeps, refine_in_time
 from softrod_jax.time_schemes import SDIRK, TimeScheme, jumps
 
-# Where a search for an accuracy ends.
-_MOST_SUBSTEPS, _MOST_INTERVALS = 2048, 96
+# Where a search for an accuracy in time ends.
+_MOST_SUBSTEPS = 2048
 
 
 class Trajectory(eqx.Module):
@@ -112,8 +112,7 @@ def simulate(
     if tolerance is None:
         trajectory = run(substeps)
     else:
-        inputs = (scene, dt, tensions, pressures, strain)
-        if any(isinstance(x, jax.core.Tracer) for x in jax.tree.leaves(inputs)):
+        if is_traced(scene, dt, tensions, pressures, strain):
             raise ValueError(
                 f"simulate: tolerance={tolerance} under jit, vmap or grad; simulate a typical "
                 'motion with it first, and give the substeps=stats["substeps"] found there'
@@ -143,7 +142,7 @@ def _within(run, scene, dt, method, scheme, substeps, tolerance, may_refine_grid
         # An estimate that is not a number is above no tolerance.
         if result != RESULTS.successful or not np.max(found.stats["error"]) > tolerance:
             break
-        if not may_refine_grid or 2 * method.intervals > _MOST_INTERVALS:
+        if not may_refine_grid or 2 * method.intervals > MOST_INTERVALS:
             result = RESULTS.inaccurate
             break
         # The estimate is a pessimist: two grids decide.

@@ -9,6 +9,11 @@ from softrod_jax.rod import Rod
 from softrod_jax.scene import Scene
 
 
+def is_traced(*trees) -> bool:
+    """Whether any number in them is known only when the program runs (jit, vmap, grad)."""
+    return any(isinstance(x, jax.core.Tracer) for x in jax.tree.leaves(trees))
+
+
 def actuation(who: str, scene: Scene, tensions, pressures, ndim: int):
     """Tensions and pressures as arrays, or `None`.
 

@@ -16,6 +16,10 @@ from softrod_jax.rod import Rod
 from softrod_jax.rod_ode import Layout
 
 
+# Where a search for an accuracy along the rod ends.
+MOST_INTERVALS = 96
+
+
 class Guess(NamedTuple):
     """Where Newton starts: states and strains at the points of the method."""
 

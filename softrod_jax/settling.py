@@ -30,7 +30,7 @@ _REST = 1e-9
 
 
 class Settled(NamedTuple):
-    """Strains (points, 6) at rest, whether rest was reached, and the steps it took."""
+    """States and strains at the end, whether the rod is at rest there, and the steps it took."""
 
     guess: Guess
     at_rest: Array
@@ -45,7 +45,9 @@ class _State(NamedTuple):
     loaded: Int[Array, ""]
 
 
-def settle(method: Method, layout: Layout, options: NewtonOptions, rod: Rod, guess: Guess) -> Settled:
+def settle(
+    method: Method, layout: Layout, options: NewtonOptions, rod: Rod, guess: Guess
+) -> Settled:
     """Let `rod` move from `guess`, a static one, under loads that rise from zero."""
     unit = rod.L**2 * jnp.sqrt(rod.rho_A / jnp.max(rod.K_bt[:2]))
     rod = eqx.tree_at(

@@ -15,8 +15,8 @@ from softrod_jax.boundary_value import (
     solve_boundary_value,
 )
 from softrod_jax.collocation import Collocation
-from softrod_jax.inputs import actuation, valid_actuation
-from softrod_jax.method import Guess, Method
+from softrod_jax.inputs import actuation, is_traced, valid_actuation
+from softrod_jax.method import MOST_INTERVALS, Guess, Method
 from softrod_jax.newton import NewtonOptions
 from softrod_jax.precision import require_float64
 from softrod_jax.results import RESULTS, raise_unless_successful
@@ -29,8 +29,6 @@ from softrod_jax.settling import settle
 # Continuation gives up when the next load step is a smaller part of the whole than this.
 _SMALLEST_LOAD_STEP = 1e-4
 _MAX_LOAD_STEPS = 200
-# Where a search for an accuracy ends.
-_MOST_INTERVALS = 96
 # Corrections that fall at least this fast, undamped, from one load to the next: the answer is
 # on the branch that the last one was on.
 _SAFE_CONTRACTION = 0.5
@@ -48,8 +46,8 @@ class StaticSolution(eqx.Module):
     - `stats`: "iterations", "residual" (Newton's last correction, relative to the size of the
       state), "load_steps" (1: reached at once; more: by continuation in the load), "stable"
       (false: a disturbance, however small, takes the rod to another equilibrium), "error" (of
-      the discretisation along the rod, estimated, in lengths of the rod; NaN: no estimate), "transient_steps" (of the damped motion; 0: it was
-      not needed).
+      the discretisation along the rod, estimated, in lengths of the rod; NaN: no estimate),
+      "transient_steps" (of the damped motion; 0: it was not needed).
     """
 
     tip_position: Float[Array, "3"]
@@ -96,7 +94,7 @@ def solve_static(
     scene = as_arrays(scene)
     tensions, pressures = actuation("solve_static", scene, tensions, pressures, ndim=1)
     arguments = (scene, tensions, pressures)
-    traced = any(isinstance(x, jax.core.Tracer) for x in jax.tree.leaves(arguments))
+    traced = is_traced(arguments)
     if tolerance is not None and (traced or not 0 < tolerance < 1):
         raise ValueError(
             f"solve_static: tolerance={tolerance}; a part of the rod's length in (0, 1) is needed, "
@@ -112,7 +110,7 @@ def solve_static(
         moved = jnp.linalg.norm(solution.tip_position - coarse.tip_position)
         if moved <= tolerance * scene.length:
             break
-        if 2 * method.intervals > _MOST_INTERVALS:
+        if 2 * method.intervals > MOST_INTERVALS:
             inaccurate = jnp.array(int(RESULTS.inaccurate), jnp.int32)
             solution = eqx.tree_at(lambda x: x.result, solution, inaccurate)
     if throw:
