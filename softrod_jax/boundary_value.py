@@ -5,7 +5,7 @@ derivative, forward and reverse, comes from the implicit function theorem: one m
 with the Jacobian at the solution, never a differentiated iteration.
 """
 
-from typing import Callable, NamedTuple, Optional
+from typing import Any, Callable, NamedTuple, Optional
 
 import equinox as eqx
 import jax
@@ -145,8 +145,9 @@ class Equations(NamedTuple):
         return tip_condition(Y[-1], self.rod, self.layout, history)
 
 
-def search_directly(equations: Equations, options: NewtonOptions, U):
+def search_directly(equations: Equations, options: NewtonOptions, U, before=None):
     """Newton's method from `U`: the unknowns, and how they were found."""
+    del before
     layout = equations.layout
     end = newton(
         equations.residual,
@@ -173,14 +174,23 @@ def solve_boundary_value(
     history: Optional[History],
     guess: Guess,
     search: Callable = search_directly,
+    before: Any = None,
 ) -> Solved:
     """Solve along the rod. Differentiable in `rod` and `history`.
+
+    `search(equations, options, U, before)` finds the unknowns from their guess `U`; `before` is
+    whatever else that one needs.
 
     A sample that fails has the derivative zero. In statics it keeps its last iterate, in a
     motion it falls back to `guess`.
     """
     U, found = _solve(
-        (rod, history), guess, method=method, layout=layout, options=options, search=search
+        (rod, history),
+        (guess, before),
+        method=method,
+        layout=layout,
+        options=options,
+        search=search,
     )
     result, strain = found.result, jax.lax.stop_gradient(guess.strain)
     equations = Equations(method, layout, rod, history, strain)
@@ -208,16 +218,17 @@ def slow_unless(ok, history: History) -> History:
 
 
 @eqx.filter_custom_jvp
-def _solve(inputs, guess, *, method, layout, options, search):
+def _solve(inputs, start, *, method, layout, options, search):
+    guess, before = start
     equations = Equations(method, layout, *inputs, guess.strain)
-    return search(equations, options, equations.start(guess))
+    return search(equations, options, equations.start(guess), before)
 
 
 @_solve.def_jvp
 def _solve_jvp(primals, tangents, *, method, layout, options, search):
-    inputs, guess = primals
+    inputs, (guess, before) = primals
     U, found = _solve(
-        inputs, guess, method=method, layout=layout, options=options, search=search
+        inputs, (guess, before), method=method, layout=layout, options=options, search=search
     )
     ok = found.result == RESULTS.successful
     dynamic, static = eqx.partition(inputs, eqx.is_inexact_array)

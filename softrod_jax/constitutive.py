@@ -11,6 +11,12 @@ equilibrium) when the minimiser sits where a tendon's path has no length left.
 
 Without tendons the answer is explicit. With them: Newton's method, differentiated through the
 optimality condition and not through its iterations.
+
+A tension that jumps sends a front along the rod, in theory of no width. Where the grid has
+nothing between two points, the strains behind a front ring, and a ringing tendon path may shrink
+to nothing though the true one does not. So in motions each tendon has an artificial viscosity,
+`viscosity_i |l_t| l_t` for the rate of its path (von Neumann & Richtmyer, J. Appl. Phys. 21, 1950):
+it spreads a front over a few points, and vanishes with the square of their distance elsewhere.
 """
 
 from typing import NamedTuple
@@ -33,6 +39,7 @@ class LocalProblem(NamedTuple):
     """minimise 1/2 x.diag(k) x + sum_i tau_i |v + u x r_i + r_i,s| - b.x over x = (v, u).
 
     `k` (6,), `b` (*points, 6), `tau` (tendons,), `r` (tendons, 3), `r_s` (tendons, 3) or None.
+    With artificial viscosity: plus sum_i viscosity_i |l_t|^3 / (3 c0), l_t = c0 l_i + l_h.
     """
 
     k: Float[Array, "6"]
@@ -40,6 +47,9 @@ class LocalProblem(NamedTuple):
     tau: Float[Array, "tendons"] | None = None
     r: Float[Array, "tendons 3"] | None = None
     r_s: Float[Array, "tendons 3"] | None = None
+    viscosity: Float[Array, "tendons"] | None = None
+    c0: Float[Array, ""] | None = None
+    l_h: Float[Array, "*points tendons 3"] | None = None
 
 
 def local_problem(rod: Rod, s, wrench, c0=None, strain_history=None) -> LocalProblem:
@@ -60,7 +70,11 @@ def local_problem(rod: Rod, s, wrench, c0=None, strain_history=None) -> LocalPro
     k = jnp.concatenate([k_se, k_bt])
     if rod.tau is None:
         return LocalProblem(k, b)
-    return LocalProblem(k, b, rod.tau, *rod.tendons.routing(s))
+    problem = LocalProblem(k, b, rod.tau, *rod.tendons.routing(s))
+    if c0 is None or rod.front_viscosity is None:
+        return problem
+    l_h = jnp.sum(_path_maps(problem) * strain_history[..., None, None, :], -1)
+    return problem._replace(viscosity=rod.front_viscosity, c0=c0, l_h=l_h)
 
 
 def recover_strain(problem: LocalProblem, guess: Strain) -> tuple[Strain, Bool[Array, ""]]:
@@ -109,7 +123,20 @@ def _pulls(problem: LocalProblem, x):
 def imbalance(problem: LocalProblem, x: Strain) -> Strain:
     """The gradient of the energy in x = (v, u), zero at the solution: [N] and [N m]."""
     pull, _ = _pulls(problem, x)
-    return problem.k * x + jnp.sum(problem.tau[:, None] * pull, -2) - problem.b
+    force = problem.k * x + jnp.sum(problem.tau[:, None] * pull, -2) - problem.b
+    if problem.viscosity is None:
+        return force
+    drag, rate = _path_drags(problem, x)
+    return force + jnp.sum((problem.viscosity * rate)[..., None] * drag, -2)
+
+
+def _path_drags(problem: LocalProblem, x):
+    """l_t.dl/dx, (*points, tendons, 6), and |l_t|, of the rates of the tendons' paths."""
+    B = _path_maps(problem)
+    # A path that varies with s does not vary with time: r_i,s is not in the rate.
+    l_t = problem.c0 * jnp.sum(B * x[..., None, None, :], -1) + problem.l_h
+    rate = jnp.sqrt(jnp.sum(l_t * l_t, -1) + 1e-30)
+    return jnp.sum(B * l_t[..., None], -2), rate
 
 
 def _hessian(problem: LocalProblem, x):
@@ -122,13 +149,23 @@ def _hessian(problem: LocalProblem, x):
         stiffness = (problem.tau[i] / length[..., i])[..., None, None]
         across = BB[i] - pull[..., i, :, None] * pull[..., i, None, :]
         H = H + stiffness * across
+    if problem.viscosity is not None:
+        drag, rate = _path_drags(problem, x)
+        for i in range(problem.r.shape[0]):
+            a, z = drag[..., i, :], rate[..., i, None, None]
+            along = a[..., :, None] * a[..., None, :] / z
+            H = H + problem.c0 * problem.viscosity[i] * (z * BB[i] + along)
     return H
 
 
 def _energy(problem: LocalProblem, x):
     _, length = _paths(problem, x)
     quadratic = jnp.sum((0.5 * problem.k * x - problem.b) * x, -1)
-    return quadratic + jnp.sum(problem.tau * length, -1)
+    energy = quadratic + jnp.sum(problem.tau * length, -1)
+    if problem.viscosity is None:
+        return energy
+    _, rate = _path_drags(problem, x)
+    return energy + jnp.sum(problem.viscosity * rate**3, -1) / (3 * problem.c0)
 
 
 def _inverse(H):

@@ -1,28 +1,43 @@
-"""Newton's method for a step of the motion, behind it a continuation in the time step.
+"""Newton's method for a step of the motion, behind it a continuation in the step and its loads.
 
-A step that Newton's method cannot take at once is taken shorter, from where inertia holds the
-rod, and then longer and longer. What is found in the end solves the whole step: neither the
-time scheme nor the derivative knows how.
+A step that Newton's method cannot take at once is first taken under the loads of before, shorter,
+from where inertia holds the rod, and then longer and longer. Then the loads change bit by bit to
+what they are now; a load that jumps does so however short the step is. What is found in the end
+solves the whole step: neither the time scheme nor the derivative knows how.
 """
 
 from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array
+from jaxtyping import Array, Float
 
 from softrod_jax.boundary_value import Equations, Found, search_directly
+from softrod_jax.method import Guess
 from softrod_jax.newton import NewtonOptions
 from softrod_jax.results import RESULTS
+from softrod_jax.rod import Rod
 from softrod_jax.rod_ode import History
 
-# The shortest first try, and the shortest advance, as parts of the step.
-_FIRST_RETRY, _SMALLEST = 1 / 8, 1e-3
-_MAX_TRIES = 20
+# The way: up to 1 the part of the step, from there to 2 the part of the change of the loads.
+_GOAL = 2.0
+# The shortest advance, and how many tries there are.
+_SMALLEST, _MAX_TRIES = 1e-4, 30
 
 
-class _Part(NamedTuple):
-    """Solved for the part `done` of the step; the next try is `advance` longer."""
+# How far the strains are extrapolated at most: stretches by this, a section's edge alike.
+_AHEAD = 0.1
+
+
+class Before(NamedTuple):
+    """The rod under the loads that a step comes from, and the rates of its strains then."""
+
+    loads: Rod
+    rate: Float[Array, "points 6"]
+
+
+class _Way(NamedTuple):
+    """Solved up to `done`; the next try is `advance` further."""
 
     done: Array
     advance: Array
@@ -32,33 +47,44 @@ class _Part(NamedTuple):
     running: Array
 
 
-def search_by_inertia(equations: Equations, options: NewtonOptions, U):
+def search_by_inertia(equations: Equations, options: NewtonOptions, U, before: Before):
     """The unknowns of a step from the guess `U`, and how they were found.
 
-    `Found.load_steps` counts the parts of the step; ordinary steps take one.
+    `Found.load_steps` counts the parts; ordinary steps take one.
     """
     c0, strain_h, velocity_h = equations.history
     held = equations.fields(U)
+    if equations.rod.front_viscosity is not None:
+        # The viscosity of fronts has no slope where nothing moves, and Newton's method no start.
+        ahead = (before.rate - strain_h) / c0 - held.strain
+        size = jnp.maximum(jnp.max(jnp.abs(ahead)) / _AHEAD, 1.0)
+        held = held._replace(strain=held.strain + ahead / size)
+    moving = equations.start(Guess(held.y, held.strain))
     _, q, w, _, _ = equations.layout.split(held.y)
     velocity = jnp.concatenate([q, w], -1)
 
-    def part_of_step(part):
+    def on_the_way(at):
+        part, change = jnp.minimum(at, 1.0), jnp.maximum(at - 1.0, 0.0)
         # c (y - held) + the rate at `held`: with c = c0 the step itself.
         c = c0 / part
         history = History(
             c, strain_h + (c0 - c) * held.strain, velocity_h + (c0 - c) * velocity
         )
-        return equations._replace(history=history)
+        rod = jax.tree.map(lambda a, b: change * a + (1 - change) * b, equations.rod, before.loads)
+        return equations._replace(history=history, rod=rod)
 
     def attempt(state):
-        part = jnp.minimum(1.0, state.done + state.advance)
-        new, found = search_directly(part_of_step(part), options, state.U)
+        at = jnp.minimum(_GOAL, state.done + state.advance)
+        start = jnp.where((state.done == 0.0) & (state.tries > 0), moving, state.U)
+        new, found = search_directly(on_the_way(at), options, start)
         ok = found.result == RESULTS.successful
-        shorter = jnp.where(state.advance == 1.0, _FIRST_RETRY, state.advance / 4)
-        advance = jnp.where(ok, 2 * state.advance, shorter)
+        # After the whole way the whole step under the loads of before, then ever less.
+        at_once = (state.advance > 1.0) & (state.done == 0.0)
+        shorter = jnp.where(at_once, 1.0, jnp.minimum(1.0, state.advance) / 4)
+        advance = jnp.where(ok, 2 * (at - state.done), shorter)
         past = state.found
-        return _Part(
-            done=jnp.where(ok, part, state.done),
+        return _Way(
+            done=jnp.where(ok, at, state.done),
             advance=advance,
             U=jnp.where(ok, new, state.U),
             found=found._replace(
@@ -66,15 +92,15 @@ def search_by_inertia(equations: Equations, options: NewtonOptions, U):
                 load_steps=past.load_steps + ok,
             ),
             tries=state.tries + 1,
-            running=~(ok & (part >= 1.0))
+            running=~(ok & (at >= _GOAL))
             & (ok | (advance >= _SMALLEST))
             & (state.tries < _MAX_TRIES),
         )
 
     zero, none = jnp.zeros((), jnp.int32), jnp.zeros(())
     found = Found(zero, zero, none, none, zero, jnp.array(True))
-    start = _Part(none, jnp.ones(()), U, found, zero, jnp.array(True))
+    start = _Way(none, jnp.array(_GOAL), U, found, zero, jnp.array(True))
     end = jax.lax.while_loop(lambda state: state.running, attempt, start)
-    whole = (end.found.result != RESULTS.successful) | (end.done >= 1.0)
+    whole = (end.found.result != RESULTS.successful) | (end.done >= _GOAL)
     result = jnp.where(whole, end.found.result, RESULTS.diverged).astype(jnp.int32)
     return end.U, end.found._replace(result=result)

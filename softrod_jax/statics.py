@@ -20,7 +20,7 @@ from softrod_jax.method import MOST_INTERVALS, Guess, Method
 from softrod_jax.newton import NewtonOptions
 from softrod_jax.precision import require_float64
 from softrod_jax.results import RESULTS, raise_unless_successful
-from softrod_jax.rod import Rod, make_rod
+from softrod_jax.rod import Rod, clamp_pose, make_rod
 from softrod_jax.rod_ode import Layout
 from softrod_jax.rotations import quaternion_exp, quaternion_product
 from softrod_jax.scene import Scene, as_arrays
@@ -155,7 +155,7 @@ def _solution(scene, rod, method, solved, valid, transient_steps):
     result = jnp.where(valid, solved.found.result, RESULTS.bad_input).astype(jnp.int32)
     fields = solved.fields
     positions, quaternions = method.shape(
-        fields.strain, rod.L, _base_position(scene), rod.h_base
+        fields.strain, rod.L, *clamp_pose(scene)
     )
     return StaticSolution(
         tip_position=positions[-1],
@@ -179,8 +179,6 @@ def _solution(scene, rod, method, solved, valid, transient_steps):
     )
 
 
-def _base_position(scene):
-    return jnp.zeros(3) if scene.base_position is None else scene.base_position
 
 
 def unloaded_guess(method: Method, layout: Layout, rod: Rod) -> Guess:
@@ -208,12 +206,13 @@ class _Load(NamedTuple):
     running: Array
 
 
-def search_by_load(equations: Equations, options: NewtonOptions, U):
+def search_by_load(equations: Equations, options: NewtonOptions, U, before=None):
     """Raise all loads together from zero to one, in as few steps as is safe.
 
     A step is taken when Newton's corrections fall fast and undamped from the last answer (by a
     secant), which keeps the solution on its branch. Ordinary scenes take one.
     """
+    del before
 
     def attempt(state):
         load = jnp.minimum(1.0, state.load + state.step)

@@ -1,30 +1,84 @@
-"""How many substeps a motion needs for a given accuracy: by solving it twice, and comparing.
+"""How short steps in time, and how fine a grid along the rod, a given accuracy needs.
 
-The difference of two solutions is an estimate of the error that holds for stiff, damped and
-oscillating rods alike. It fails only if both miss an oscillation that is faster than their
-steps and lasts; so the first try resolves the slowest bending mode, unless that is damped out
-within a step.
+A motion is solved twice, the second time with more care in time, and on a finer grid where the
+estimate along the rod asks for it; their difference is taken for the error. That holds for stiff,
+damped and oscillating rods alike, and sees both kinds of error at once. It fails only if both
+motions miss an oscillation that is faster than their steps, and lasts.
 """
 
+import itertools
 import math
 from typing import Callable
 
+import equinox as eqx
+import jax.numpy as jnp
 import numpy as np
 
+from softrod_jax.marching import MOST_SUBSTEPS, LocalError
+from softrod_jax.method import MOST_INTERVALS, Method
 from softrod_jax.results import RESULTS
 from softrod_jax.rod import Rod
+from softrod_jax.time_schemes import TimeScheme
 
-# Steps per radian of the slowest bending mode in the first try.
+# The limit of the local error in the first try, in tolerances, and how it falls. The errors of many
+# steps add up, so that it starts below one; where they do not, the second try is the last.
+_FIRST_LIMIT, _STRICTER, _TRIES = 0.1, 8.0, 6
+# Steps per radian of the slowest bending mode in the first try with equal steps.
 _STEPS_PER_RADIAN = 2
-# The difference to half as many substeps, over this, is taken for the error: an asymptotic
-# 2^order - 1 with a safety factor of 4.
-_SAFETY = 4.0
-# Failures that shorter steps may cure, and how many times shorter they are tried.
-_RETRY, _RETRIES = (RESULTS.diverged, RESULTS.max_iterations), 4
+# Failures that more care may cure.
+_CURABLE = (RESULTS.diverged, RESULTS.max_iterations, RESULTS.inaccurate)
 
 
-def first_substeps(rod: Rod, dt: float, tolerance: float) -> int:
-    """Substeps of the first try, for steps of `dt` [s] and an error of `tolerance` lengths.
+def run_within(
+    run: Callable, rod: Rod, dt: float, scheme: TimeScheme, method: Method, fixed_grid: bool, *,
+    substeps: int, tolerance: float,
+):
+    """`run(substeps, method)` with as much care as an error of `tolerance` lengths takes.
+
+    Returns the trajectory with its errors in `stats`, in lengths of the rod, and with the code
+    `inaccurate` where no care that is offered is enough.
+    """
+    length, coarse = float(rod.L), None
+    for care in _cares(rod, dt, scheme, substeps, tolerance):
+        if coarse is not None and not fixed_grid and _needs_finer_grid(coarse, method, tolerance):
+            method = method.finer()
+        fine = run(care, method)
+        if coarse is None:
+            coarse = fine
+            continue
+        moved = np.linalg.norm(fine.tip_positions - coarse.tip_positions, axis=-1)[1:] / length
+        error = np.maximum.accumulate(moved)
+        codes = {int(coarse.result), int(fine.result)}
+        if codes == {RESULTS.successful} and error[-1] <= tolerance:
+            return _with(fine, error, method)
+        if len(codes) == 1 and not codes & {RESULTS.successful, *_CURABLE}:
+            return _with(fine, error, method)  # twice the same answer: there is none
+        coarse = fine
+    if fine.result == RESULTS.successful:
+        fine = eqx.tree_at(
+            lambda t: (t.result, t.failed_step),
+            fine,
+            (jnp.array(RESULTS.inaccurate, jnp.int32), jnp.argmax(jnp.array(error) > tolerance)),
+        )
+    return _with(fine, error, method)
+
+
+def _cares(rod, dt, scheme, substeps, tolerance):
+    """What to give to `run` for its `substeps`, from careless to careful."""
+    if scheme.one_step:
+        for k in range(_TRIES):
+            yield LocalError(jnp.array(_FIRST_LIMIT * tolerance / _STRICTER**k))
+        return
+    # On the device the number of substeps is an input: one program serves all tries.
+    first = max(substeps, _first_substeps(rod, dt, tolerance))
+    most = max(MOST_SUBSTEPS, 2 * first)
+    yield from (jnp.array(first * 2**k) for k in itertools.takewhile(
+        lambda k: first * 2**k <= most, itertools.count()
+    ))
+
+
+def _first_substeps(rod: Rod, dt: float, tolerance: float) -> int:
+    """Equal substeps that resolve the slowest bending mode, unless that is damped out in one step.
 
     The frequency is that of a cantilever with a tip mass, as a pendulum stiffened by gravity.
     """
@@ -40,26 +94,13 @@ def first_substeps(rod: Rod, dt: float, tolerance: float) -> int:
     return max(1, math.ceil(_STEPS_PER_RADIAN * omega * dt))
 
 
-def refine_in_time(
-    run: Callable, first: int, order: int, length: float, tolerance: float, most: int
-):
-    """`run(substeps)` with as many substeps as an error of `tolerance` lengths takes.
+def _needs_finer_grid(motion, method: Method, tolerance: float) -> bool:
+    if 2 * method.intervals > MOST_INTERVALS:
+        return False
+    # The estimate is a pessimist; one that is not a number is above no tolerance.
+    return bool(np.max(motion.stats["error"]) > tolerance) or int(motion.result) in _CURABLE
 
-    Returns the trajectory, its substeps, the estimated error of the tip at each step in lengths
-    of the rod, (steps,), and a result code.
-    """
-    substeps = first
-    coarse = run(substeps)
-    while True:
-        substeps *= 2
-        fine = run(substeps)
-        solved = fine.result == RESULTS.successful and coarse.result == RESULTS.successful
-        moved = np.linalg.norm(fine.tip_positions - coarse.tip_positions, axis=-1)[1:] / length
-        error = np.maximum.accumulate(moved) * min(1.0, _SAFETY / (2**order - 1))
-        if solved and error[-1] <= tolerance:
-            return fine, substeps, error, RESULTS.successful
-        result = RESULTS(int(fine.result))
-        retry = result in _RETRY and substeps <= _RETRIES * first
-        if 2 * substeps > most or not (retry or result == RESULTS.successful):
-            return fine, substeps, error, result or RESULTS.inaccurate
-        coarse = fine
+
+def _with(motion, error, method):
+    stats = {**motion.stats, "time_error": error, "intervals": method.intervals}
+    return eqx.tree_at(lambda t: t.stats, motion, stats)

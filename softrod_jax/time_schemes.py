@@ -28,11 +28,13 @@ def _combine(*terms):
 class TimeScheme(eqx.Module):
     """`start` makes a memory from the initial fields, `step` advances it.
 
-    `error_constant`: C of the local error C dt^(order + 1) y^(order + 1).
+    `error_constant`: C of the local error C dt^(order + 1) y^(order + 1). `one_step`: whether
+    steps may differ in length from one to the next, each with an estimate of its error.
     """
 
     stages: eqx.AbstractVar[int]
     order: eqx.AbstractVar[int]
+    one_step: eqx.AbstractVar[bool]
     error_constant: eqx.AbstractVar[float]
 
     @abc.abstractmethod
@@ -52,7 +54,8 @@ class TimeScheme(eqx.Module):
 
         `at`, in (0, 1]: the time of the stage in the step. `carry` is a named tuple; its field
         `guess` is the last solution, and where Newton's method starts. Returns the memory and
-        the carry after the step.
+        the carry after the step, and of a `one_step` scheme the local errors of the fields and
+        of their integrals over time, else `None`.
         """
 
 
@@ -67,6 +70,7 @@ class BDFAlpha(TimeScheme):
     alpha: float = eqx.field(static=True, default=-0.45)
     stages: int = eqx.field(static=True, default=1, init=False)
     order: int = eqx.field(static=True, default=2, init=False)
+    one_step: bool = eqx.field(static=True, default=False, init=False)
 
     @property
     def error_constant(self) -> float:
@@ -97,7 +101,7 @@ class BDFAlpha(TimeScheme):
         guess = jax.tree.map(lambda a, b: a + ahead * (a - b), last, before)
         history = _combine((c1, y1), (c2, y2), (d1, y1_t))
         y, carry = solve(c0, history, 1.0, carry._replace(guess=guess))
-        return (y, y1, _combine((c0, y), (1.0, history)), last), carry
+        return (y, y1, _combine((c0, y), (1.0, history)), last), carry, None
 
 
 _GAMMA_3 = 0.43586652150845899942  # root of x^3 - 3 x^2 + 3/2 x - 1/6 between 1/6 and 1/2
@@ -126,12 +130,14 @@ class SDIRK(TimeScheme):
     """Stiffly accurate, L-stable SDIRK of order 2, 3 (Alexander 1977) or 4 (Hairer & Wanner,
     Solving ODEs II, table IV.6.5); 2, 3 and 5 solves along the rod a step.
 
-    One-step: a jump of an input costs no accuracy. All stages share c0 = 1/(gamma dt).
+    One-step: a jump of an input costs no accuracy. All stages share c0 = 1/(gamma dt). The local
+    error is the difference to the scheme of one order less with the same stages but the last.
     Newton's method starts from a polynomial through up to three earlier stages.
     Raises `ValueError` for another order.
     """
 
     order: int = eqx.field(static=True, default=4)
+    one_step: bool = eqx.field(static=True, default=True, init=False)
 
     def __check_init__(self):
         if self.order not in _SDIRK:
@@ -185,8 +191,22 @@ class SDIRK(TimeScheme):
         guesses = jax.tree.map(lambda k, x: k.at[0].set(x), guesses, carry.guess)
         rows = jnp.array(table), jnp.array(at), jnp.array(_predictors(at))
         start = (y0, none(y0, self.stages), guesses, carry, 0)
-        (y, _, _, carry, _), _ = jax.lax.scan(stage, start, rows)
-        return (y,), carry
+        (y, rates, _, carry, _), _ = jax.lax.scan(stage, start, rows)
+        w = self._error_weights()
+        error = jax.tree.map(lambda k: dt * jnp.tensordot(w, k, 1), rates)
+        # A stage's value is y0 + dt sum_j a_ij k_j, and the weights' sum is zero.
+        w = w @ self._table(diagonal=True)
+        of_integral = jax.tree.map(lambda k: dt**2 * jnp.tensordot(w, k, 1), rates)
+        return (y,), carry, (error, of_integral)
+
+    def _error_weights(self) -> np.ndarray:
+        """b minus weights of one order less, which leave the last stage out."""
+        A = self._table(diagonal=True)
+        c = A.sum(1)
+        conditions = {2: 1, 3: 2, 4: 4}[self.order]
+        left = np.stack([np.ones_like(c), c, c**2, A @ c])[:conditions, : self.stages - 1]
+        right = np.array([1, 1 / 2, 1 / 3, 1 / 6])[:conditions]
+        return A[-1] - np.append(np.linalg.solve(left, right), 0.0)
 
 
 def _predictors(at) -> np.ndarray:

@@ -1,0 +1,265 @@
+"""The march in time: every step of a motion, as one compiled loop.
+
+A step, from one sample of the inputs to the next, is divided into substeps: into a given number
+of equal ones, or into as many as keep the error of each one small.
+"""
+
+import functools
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float, Int
+
+from softrod_jax.boundary_value import scaled_loads, slow_unless, solve_boundary_value
+from softrod_jax.inertial_search import Before, search_by_inertia
+from softrod_jax.inputs import valid_actuation
+from softrod_jax.method import Guess
+from softrod_jax.results import RESULTS
+from softrod_jax.rod import Rod, make_rod
+from softrod_jax.rod_ode import History, Layout
+from softrod_jax.statics import unloaded_guess
+from softrod_jax.time_schemes import jumps
+
+# Substeps of one step at most, and the shortest one, where errors choose them.
+MOST_SUBSTEPS, _SHORTEST = 4096, 1e-7
+# How a substep's length follows from the error of the one before: a little cautiously, and by
+# these factors at most. After a substep that has no solution: by the last one.
+_CAUTION, _LEAST, _MOST, _AFTER_FAILURE = 0.9, 0.2, 4.0, 0.25
+
+
+class LocalError(NamedTuple):
+    """Substeps as short as it takes: each moves the tip wrongly by `limit` lengths at most."""
+
+    limit: Float[Array, ""]
+
+
+class Fields(NamedTuple):
+    """What has a history: strains (v, u) and velocities (q, omega), (points, 6) each."""
+
+    strain: Float[Array, "points 6"]
+    velocity: Float[Array, "points 6"]
+
+
+class March(NamedTuple):
+    """Of every step: fields at its end, velocities as a user sees them, codes and counts."""
+
+    strains: Float[Array, "steps points 6"]
+    velocities: Float[Array, "steps outputs 6"]
+    results: Int[Array, "steps"]
+    stats: dict
+
+
+class _Running(NamedTuple):
+    """What a substep hands to the next, besides the memory of the time scheme.
+
+    `loads`: the rod under those of the last solve; `rate`: that of the strains there. `part`: the length of the next substep, in steps,
+    where errors choose it.
+    """
+
+    guess: Guess
+    loads: Rod
+    rate: Float[Array, "points 6"]
+    result: Int[Array, ""]
+    iterations: Int[Array, ""]
+    correction: Float[Array, ""]
+    error: Float[Array, ""]
+    part: Float[Array, ""]
+
+
+def march(scene, dt, inputs, strain, steps, substeps, scheme, method, options) -> March:
+    """Move `scene` from rest under `inputs`, (tensions, pressures) as in `simulate`.
+
+    `strain` (points, 6) at the start, the unloaded rod's if `None`. `substeps`: a number, Python's
+    or traced, or a `LocalError`.
+    """
+    spacing = scene.length / (method.points(1.0).shape[0] - 1)
+
+    def rod_under(tau, pressure):
+        return valid_actuation(make_rod(scene, tau, pressure, spacing=spacing))
+
+    rod, _ = rod_under(*jax.tree.map(lambda x: x[0], inputs))
+    layout = Layout(attitude=rod.has_dead_load, dynamic=True)
+    guess = unloaded = unloaded_guess(method, layout, rod)
+    if strain is not None:
+        guess = guess._replace(strain=strain)
+    fields = Fields(guess.strain, jnp.zeros_like(guess.strain))
+
+    # No grid holds a front that is thinner than its points are apart: what jumps rises while a wave
+    # runs half of that distance, or in a step if that is shorter.
+    wave_speed = jnp.sqrt(rod.K_se[2] / rod.rho_A)
+    rise = jnp.minimum(0.5 * spacing / (wave_speed * dt), 1.0)
+
+    def substep(course, first, part, coefficients, state):
+        """The part [first, first + part] of a step, and the local error of the fields."""
+        memory, running = state
+
+        def solve(c0, history, at, running):
+            # Not above 1 by rounding: a tension that falls to zero would become negative.
+            progress = jnp.minimum(first + at * part, 1.0)
+            rod, valid = rod_under(*course.at(progress, rise))
+            # After a failure, an unloaded rod at rest costs a batch no iterations.
+            alive = running.result == RESULTS.successful
+            rod = scaled_loads(rod, jnp.where(alive, 1.0, 0.0))
+            solved = solve_boundary_value(
+                method,
+                layout,
+                options,
+                rod,
+                slow_unless(alive, History(c0, history.strain, history.velocity)),
+                jax.tree.map(lambda a, b: jnp.where(alive, a, b), running.guess, unloaded),
+                search_by_inertia,
+                jax.lax.stop_gradient(Before(running.loads, running.rate)),
+            )
+            found, fields = solved.found, solved.fields
+            result = jnp.where(valid, found.result, RESULTS.bad_input).astype(jnp.int32)
+            _, q, w, _, _ = layout.split(fields.y)
+            running = running._replace(
+                guess=Guess(fields.y, fields.strain),
+                loads=rod,
+                rate=c0 * fields.strain + history.strain,
+                result=jnp.where(running.result == 0, result, running.result),
+                iterations=running.iterations + found.iterations,
+                correction=jnp.maximum(running.correction, found.correction),
+                error=jnp.maximum(running.error, fields.error),
+            )
+            return Fields(fields.strain, jnp.concatenate([q, w], -1)), running
+
+        new_memory, after, error = scheme.step(memory, coefficients, solve, running)
+        # After a failure the rod is held where it was: its numbers stay finite.
+        ok = after.result == RESULTS.successful
+        hold = lambda new, old: jax.tree.map(lambda a, b: jnp.where(ok, a, b), new, old)
+        memory = hold(new_memory, memory)
+        last = ("guess", "loads", "rate")
+        pick = lambda running: {name: getattr(running, name) for name in last}
+        return (memory, after._replace(**hold(pick(after), pick(running)))), error
+
+    def equal_substeps(course, coefficients, state):
+        # Inputs jump at the beginning of a step only.
+        no_jump = scheme.coefficients(dt / substeps, jnp.zeros(1, dtype=bool))[0]
+
+        def one(k, state):
+            here = jnp.where(k == 0, coefficients, no_jump)
+            return substep(course, k / substeps, 1 / substeps, here, state)[0]
+
+        if isinstance(substeps, int) and substeps == 1:
+            return substep(course, 0.0, 1.0, coefficients, state)[0], 1
+        return jax.lax.fori_loop(0, substeps, one, state), substeps
+
+    def substeps_by_error(course, state):
+        """Repeat a substep, shorter, whose error is too large or which has no solution."""
+
+        def goes_on(loop):
+            (_, running), done, count = loop
+            return (done < 1.0) & (count < MOST_SUBSTEPS) & (running.result == 0)
+
+        def attempt(loop):
+            (memory, running), done, count = loop
+            # Not a sliver at the end of the step.
+            part = jnp.where(done + 1.05 * running.part >= 1.0, 1.0 - done, running.part)
+            coefficients = scheme.coefficients(part * dt, jnp.zeros(1, dtype=bool))[0]
+            new, error = substep(course, done, part, coefficients, (memory, running))
+            shift = tip_shift(*error, rod.L) / substeps.limit
+            tried = new[1]
+            solved = tried.result == RESULTS.successful
+            ok = solved & (shift <= 1.0)
+            factor = _CAUTION * jnp.maximum(shift, 1e-12) ** (-1 / scheme.order)
+            factor = jnp.where(solved, jnp.clip(factor, _LEAST, _MOST), _AFTER_FAILURE)
+            next_part = part * factor
+            hopeless = ~ok & (next_part < _SHORTEST) | (tried.result == RESULTS.bad_input)
+            kept = jax.tree.map(lambda a, b: jnp.where(ok, a, b), new, (memory, running))
+            why = jnp.where(solved, RESULTS.inaccurate, tried.result).astype(jnp.int32)
+            after = kept[1]._replace(
+                # A substep cut short by the end of the step says little of the next one.
+                part=jnp.where(ok & (part < running.part), running.part, next_part),
+                iterations=tried.iterations,
+                result=jnp.where(hopeless, why, running.result),
+            )
+            return (kept[0], after), jnp.where(ok, done + part, done), count + 1
+
+        state, done, count = jax.lax.while_loop(goes_on, attempt, (state, jnp.zeros(()), 0))
+        memory, running = state
+        unfinished = (running.result == 0) & (done < 1.0)
+        result = jnp.where(unfinished, RESULTS.inaccurate, running.result).astype(jnp.int32)
+        return (memory, running._replace(result=result)), count
+
+    def step(state, row):
+        memory, running = state
+        coefficients, course = row
+        running = running._replace(
+            iterations=jnp.zeros((), jnp.int32), correction=jnp.zeros(()), error=jnp.zeros(())
+        )
+        if isinstance(substeps, LocalError):
+            state, count = substeps_by_error(course, (memory, running))
+        else:
+            state, count = equal_substeps(course, coefficients, (memory, running))
+        memory, running = state
+        stats = {
+            "iterations": running.iterations,
+            "residual": running.correction,
+            "error": running.error,
+            "substeps": jnp.asarray(count, jnp.int32),
+        }
+        seen = method.outputs(memory[0].velocity)
+        return state, (memory[0].strain, seen, running.result, stats)
+
+    zero, none = jnp.zeros((), jnp.int32), jnp.zeros(())
+    still = jnp.zeros_like(guess.strain)
+    running = _Running(
+        guess, scaled_loads(rod, 0.0), still, zero, zero, none, none, jnp.ones(())
+    )
+    course, jumped = _course(inputs, from_rest=strain is None)
+    restart = functools.reduce(jnp.logical_or, jumped, jnp.arange(steps) == 0)
+    length = dt if isinstance(substeps, LocalError) else dt / substeps
+    coefficients = scheme.coefficients(length, restart)
+    _, (strains, velocities, results, stats) = jax.lax.scan(
+        step, (scheme.start(fields, guess), running), (coefficients, course)
+    )
+    strains = jnp.concatenate([fields.strain[None], strains])
+    velocities = jnp.concatenate([jnp.zeros_like(velocities[:1]), velocities])
+    return March(strains, velocities, results, stats)
+
+
+def tip_shift(error: Fields, of_integral: Fields, length) -> Float[Array, ""]:
+    """How far local errors in time move the tip, in lengths of the rod.
+
+    The tip is the integral of the strains along the rod, and of its velocity over time. The one
+    takes a wave front between two points of the grid for an error of the step, and the other a
+    vibration that the step damps out: the smaller is right.
+    """
+    arm = jnp.linspace(1.0, 0.0, error.strain.shape[0])[:, None]
+    stretch = jnp.mean(error.strain[:, :3], axis=0)
+    turn = length * jnp.mean(arm * error.strain[:, 3:], axis=0)
+    along_rod = jnp.linalg.norm(stretch) + jnp.linalg.norm(turn)
+    return jnp.minimum(along_rod, jnp.linalg.norm(of_integral.velocity[-1, :3]) / length)
+
+
+class _Course(NamedTuple):
+    """Inputs of every step: where each comes from, where it goes, and if it jumps there."""
+
+    before: tuple
+    now: tuple
+    jumps: tuple
+
+    def at(self, progress, rise):
+        """The inputs of one step at `progress` in [0, 1]; those that jump rise within `rise`."""
+        risen = jnp.minimum(progress / rise, 1.0)
+
+        def one(before, now, jumps):
+            x = jnp.where(jumps, risen, progress)
+            return x * now + (1 - x) * before
+
+        return jax.tree.map(one, *self)
+
+
+def _course(inputs, from_rest: bool) -> tuple[_Course, Bool[Array, "steps"]]:
+    """The course of the inputs, and at the beginning of which steps any of them jumps.
+
+    Before the first step all are zero, or, where the motion begins in an equilibrium, what they
+    are in that step.
+    """
+    jumped = jax.tree.map(jumps, inputs)
+    first = lambda x: jnp.zeros_like(x[:1]) if from_rest else x[:1]
+    before = jax.tree.map(lambda x: jnp.concatenate([first(x), x[:-1]]), inputs)
+    restart = [jnp.any(jump, axis=1) for jump in jax.tree.leaves(jumped)]
+    return _Course(before, inputs, jumped), restart
