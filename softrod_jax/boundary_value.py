@@ -15,7 +15,7 @@ from jaxtyping import Array, Bool, Float, Int
 from softrod_jax.block_sweep import factorise, has_no_conjugate_point, solve_sweeps
 from softrod_jax.constitutive import shortest_path
 from softrod_jax.method import Fields, Guess, Method
-from softrod_jax.newton import NewtonOptions, newton
+from softrod_jax.newton import Borrowed, NewtonOptions, newton
 from softrod_jax.results import RESULTS
 from softrod_jax.rod import Rod
 from softrod_jax.rod_ode import History, Layout, tip_condition
@@ -50,10 +50,11 @@ class Found(NamedTuple):
 
 
 class Solved(NamedTuple):
-    """States and strains at all points, and how they were found."""
+    """States and strains at all points, how they were found, and the last factors in a motion."""
 
     fields: Fields
     found: Found
+    factors: Any
 
 
 class Equations(NamedTuple):
@@ -145,9 +146,10 @@ class Equations(NamedTuple):
         return tip_condition(Y[-1], self.rod, self.layout, history)
 
 
-def search_directly(equations: Equations, options: NewtonOptions, U, before=None):
-    """Newton's method from `U`: the unknowns, and how they were found."""
-    del before
+def search_directly(
+    equations: Equations, options: NewtonOptions, U, borrowed: Optional[Borrowed] = None
+):
+    """Newton's method from `U`: the unknowns, how they were found, and the last factors."""
     layout = equations.layout
     end = newton(
         equations.residual,
@@ -157,13 +159,13 @@ def search_directly(equations: Equations, options: NewtonOptions, U, before=None
         equations.scale(U),
         options,
         exact_factors=not layout.dynamic,
+        borrowed=borrowed,
     )
     one, stable = jnp.ones((), jnp.int32), jnp.array(True)
     if not layout.dynamic:
         stable = has_no_conjugate_point(end.factors[0])
-    return end.y, Found(
-        end.result, end.iterations, end.correction, end.contraction, one, stable
-    )
+    found = Found(end.result, end.iterations, end.correction, end.contraction, one, stable)
+    return end.y, found, end.factors
 
 
 def solve_boundary_value(
@@ -178,13 +180,13 @@ def solve_boundary_value(
 ) -> Solved:
     """Solve along the rod. Differentiable in `rod` and `history`.
 
-    `search(equations, options, U, before)` finds the unknowns from their guess `U`; `before` is
-    whatever else that one needs.
+    `search(equations, options, U, before)` finds the unknowns from their guess `U`, and returns
+    what `search_directly` does; `before` is whatever else it needs.
 
     A sample that fails has the derivative zero. In statics it keeps its last iterate, in a
     motion it falls back to `guess`.
     """
-    U, found = _solve(
+    U, found, factors = _solve(
         (rod, history),
         (guess, before),
         method=method,
@@ -206,7 +208,7 @@ def solve_boundary_value(
     # Where there is no estimate, NaN is not above the limit.
     inaccurate = (result == RESULTS.successful) & (fields.error > method.max_error)
     result = jnp.where(inaccurate, RESULTS.inaccurate, result).astype(jnp.int32)
-    return Solved(fields, found._replace(result=result))
+    return Solved(fields, found._replace(result=result), factors)
 
 
 def slow_unless(ok, history: History) -> History:
@@ -227,7 +229,7 @@ def _solve(inputs, start, *, method, layout, options, search):
 @_solve.def_jvp
 def _solve_jvp(primals, tangents, *, method, layout, options, search):
     inputs, (guess, before) = primals
-    U, found = _solve(
+    U, found, factors = _solve(
         inputs, (guess, before), method=method, layout=layout, options=options, search=search
     )
     ok = found.result == RESULTS.successful
@@ -259,5 +261,5 @@ def _solve_jvp(primals, tangents, *, method, layout, options, search):
     F_dot = jax.tree.map(lambda x: jnp.where(ok, x, 0.0), F_dot)
     U_dot = here.correct(here.factorise(at, safe=ok), F_dot)
     U_dot = U_dot.at[0, : layout.base_size].add(jnp.where(ok, base_dot, 0.0))
-    none = jax.tree.map(lambda x: None, found)
-    return (U, found), (jnp.where(ok, U_dot, 0.0), none)
+    none = jax.tree.map(lambda x: None, (found, factors))
+    return (U, found, factors), (jnp.where(ok, U_dot, 0.0), *none)

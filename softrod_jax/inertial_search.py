@@ -6,7 +6,7 @@ what they are now; a load that jumps does so however short the step is. What is 
 solves the whole step: neither the time scheme nor the derivative knows how.
 """
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -14,7 +14,7 @@ from jaxtyping import Array, Float
 
 from softrod_jax.boundary_value import Equations, Found, search_directly
 from softrod_jax.method import Guess
-from softrod_jax.newton import NewtonOptions
+from softrod_jax.newton import Borrowed, NewtonOptions
 from softrod_jax.results import RESULTS
 from softrod_jax.rod import Rod
 from softrod_jax.rod_ode import History
@@ -30,10 +30,11 @@ _AHEAD = 0.1
 
 
 class Before(NamedTuple):
-    """The rod under the loads that a step comes from, and the rates of its strains then."""
+    """The rod under the loads that a step comes from, the rates of its strains, the last factors."""
 
     loads: Rod
     rate: Float[Array, "points 6"]
+    borrowed: Borrowed
 
 
 class _Way(NamedTuple):
@@ -43,6 +44,7 @@ class _Way(NamedTuple):
     advance: Array
     U: Array
     found: Found
+    factors: Any
     tries: Array
     running: Array
 
@@ -76,7 +78,8 @@ def search_by_inertia(equations: Equations, options: NewtonOptions, U, before: B
     def attempt(state):
         at = jnp.minimum(_GOAL, state.done + state.advance)
         start = jnp.where((state.done == 0.0) & (state.tries > 0), moving, state.U)
-        new, found = search_directly(on_the_way(at), options, start)
+        borrowed = Borrowed(state.factors, before.borrowed.usable & (state.tries == 0))
+        new, found, factors = search_directly(on_the_way(at), options, start, borrowed)
         ok = found.result == RESULTS.successful
         # After the whole way the whole step under the loads of before, then ever less.
         at_once = (state.advance > 1.0) & (state.done == 0.0)
@@ -91,6 +94,7 @@ def search_by_inertia(equations: Equations, options: NewtonOptions, U, before: B
                 iterations=past.iterations + found.iterations,
                 load_steps=past.load_steps + ok,
             ),
+            factors=factors,
             tries=state.tries + 1,
             running=~(ok & (at >= _GOAL))
             & (ok | (advance >= _SMALLEST))
@@ -99,8 +103,10 @@ def search_by_inertia(equations: Equations, options: NewtonOptions, U, before: B
 
     zero, none = jnp.zeros((), jnp.int32), jnp.zeros(())
     found = Found(zero, zero, none, none, zero, jnp.array(True))
-    start = _Way(none, jnp.array(_GOAL), U, found, zero, jnp.array(True))
+    start = _Way(
+        none, jnp.array(_GOAL), U, found, before.borrowed.factors, zero, jnp.array(True)
+    )
     end = jax.lax.while_loop(lambda state: state.running, attempt, start)
     whole = (end.found.result != RESULTS.successful) | (end.done >= _GOAL)
     result = jnp.where(whole, end.found.result, RESULTS.diverged).astype(jnp.int32)
-    return end.U, end.found._replace(result=result)
+    return end.U, end.found._replace(result=result), end.factors

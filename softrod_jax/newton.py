@@ -3,10 +3,10 @@
 After Deuflhard, "Newton Methods for Nonlinear Problems" (2011), algorithm NLEQ-ERR: a step is
 judged by the next correction, computed with the same factors. That measure does not depend on
 how the equations are scaled, says directly how far the solution still is, and costs no new
-Jacobian: while it falls fast, the same factors serve on.
+Jacobian: while it falls fast, the same factors serve on, also from one problem to the next.
 """
 
-from typing import Any, Callable, NamedTuple
+from typing import Any, Callable, NamedTuple, Optional
 
 import equinox as eqx
 import jax
@@ -50,6 +50,13 @@ class NewtonResult(NamedTuple):
     contraction: Float[Array, ""]
 
 
+class Borrowed(NamedTuple):
+    """Factors of a Jacobian like the one wanted, and whether they are (else: only their shape)."""
+
+    factors: Any
+    usable: Bool[Array, ""]
+
+
 class _State(NamedTuple):
     y: Array
     step: Array
@@ -61,6 +68,7 @@ class _State(NamedTuple):
     running: Bool[Array, ""]
     fresh: Bool[Array, ""]  # the factors are new: `step` and `size` are not known yet
     stale: Bool[Array, ""]  # the factors serve no longer
+    borrowed: Bool[Array, ""]  # the factors are of another problem
 
 
 def newton(
@@ -71,6 +79,7 @@ def newton(
     scale,
     options: NewtonOptions,
     exact_factors: bool = False,
+    borrowed: Optional[Borrowed] = None,
 ) -> NewtonResult:
     """Solve `evaluate(y) = F = 0` from `y`.
 
@@ -79,6 +88,7 @@ def newton(
     - `solve(factors, F)`: the correction -J^-1 F, of y's shape.
     - `scale`: of y's shape or broadcast to it; corrections are measured by max |dy / scale|.
     - `exact_factors`: return the factors at the solution itself.
+    - `borrowed`: factors to begin with; new ones are made as soon as these do not serve.
     """
 
     def size_of(step):
@@ -88,18 +98,23 @@ def newton(
     def goes_on(state):
         return state.running & (state.iterations < options.max_iterations)
 
-    # Two nested loops and no branch: in a batch, a branch would cost every pass a Jacobian.
-    def with_new_factors(carry):
-        state, _, _ = carry
+    # Two nested loops and no branch but one: in a batch, a branch costs every pass a Jacobian.
+    def with_factors(carry):
+        state, factors, _ = carry
         last = ~goes_on(state)
-        factors = factorise(state.y)
+        if borrowed is None:
+            factors = factorise(state.y)
+        else:
+            factors = jax.lax.cond(
+                state.borrowed, lambda y, old: old, lambda y, old: factorise(y), state.y, factors
+            )
         state = state._replace(
             step=jnp.zeros_like(state.step), fresh=jnp.array(True), stale=jnp.array(False)
         )
         state = jax.lax.while_loop(
             lambda s: goes_on(s) & ~s.stale, lambda s: one_pass(s, factors), state
         )
-        return state, factors, last
+        return state._replace(borrowed=jnp.array(False)), factors, last
 
     def one_pass(state, factors):
         y = state.y + state.damping * state.step
@@ -111,9 +126,12 @@ def newton(
         at_rounding = full & (state.size <= _ROUNDING) & (size <= 10 * _ROUNDING)
         accept = jnp.isfinite(size) & (state.fresh | falls | small | at_rounding)
         converged = accept & full & (small | (at_rounding & ~falls & ~state.fresh))
+        # Borrowed factors have to show that they serve, and if not it is no fault of the problem.
+        converged &= ~(state.borrowed & state.fresh)
+        useless = state.borrowed & ~accept
         ratio = size / state.size
         damping = jnp.where(accept, jnp.minimum(1.0, 4 * state.damping), state.damping / 4)
-        failed = ~accept & (state.fresh | (damping < options.smallest_damping))
+        failed = ~accept & ~useless & (state.fresh | (damping < options.smallest_damping))
         result = jnp.where(failed, RESULTS.diverged, RESULTS.max_iterations)
         judged = accept & ~state.fresh & (size > _ROUNDING)
         worst = jnp.where(judged, jnp.maximum(state.contraction, ratio), state.contraction)
@@ -123,13 +141,14 @@ def newton(
             y=pick(jnp.where(converged & small, y + step, y), state.y),
             step=pick(step, state.step),
             size=pick(size, state.size),
-            damping=jnp.where(state.fresh, state.damping, damping),
+            damping=jnp.where(state.fresh | useless, state.damping, damping),
             contraction=jnp.where(full, worst, jnp.inf),
             result=jnp.where(converged, RESULTS.successful, result).astype(jnp.int32),
             iterations=state.iterations + 1,
             running=~converged & ~failed,
             fresh=jnp.array(False),
-            stale=accept & ~state.fresh & ~(full & (ratio < _REUSE)),
+            stale=useless | (accept & ~state.fresh & ~(full & (ratio < _REUSE))),
+            borrowed=state.borrowed,
         )
 
     start = _State(
@@ -143,17 +162,22 @@ def newton(
         running=jnp.array(True),
         fresh=jnp.array(True),
         stale=jnp.array(False),
+        borrowed=jnp.array(False) if borrowed is None else borrowed.usable,
     )
-    shapes = jax.eval_shape(factorise, y)
-    factors = jax.tree.map(lambda x: jnp.zeros(x.shape, x.dtype), shapes)
+    factors = no_factors(factorise, y) if borrowed is None else borrowed.factors
 
     def unfinished(carry):
         state, _, last = carry
         return goes_on(state) | ~last if exact_factors else goes_on(state)
 
     end, factors, _ = jax.lax.while_loop(
-        unfinished, with_new_factors, (start, factors, jnp.array(False))
+        unfinished, with_factors, (start, factors, jnp.array(False))
     )
     return NewtonResult(
         end.y, factors, end.result, end.iterations, end.size, end.contraction
     )
+
+
+def no_factors(factorise: Callable, y):
+    """Zeros of the shape of `factorise(y)`."""
+    return jax.tree.map(lambda x: jnp.zeros(x.shape, x.dtype), jax.eval_shape(factorise, y))

@@ -70,7 +70,7 @@ def settle(
         c0 = 1 / state.h
         history = History(c0, -c0 * state.guess.strain, -c0 * velocity)
         here = Equations(method, moving, scaled_loads(rod, load), history, state.guess.strain)
-        U, found = search_directly(here, options, here.start(state.guess))
+        U, found, _ = search_directly(here, options, here.start(state.guess))
         new = here.fields(U)
         ok = found.result == RESULTS.successful
         change = jnp.max(jnp.abs(new.strain - state.guess.strain)[:, 3:]) * rod.L

@@ -221,7 +221,7 @@ def search_by_load(equations: Equations, options: NewtonOptions, U, before=None)
         ahead = jnp.where(past.load_steps > 1, ahead, 0.0)
         start = state.U + ahead * (state.U - state.before)
         loaded = equations._replace(rod=scaled_loads(equations.rod, load))
-        new, found = search_directly(loaded, options, start)
+        new, found, _ = search_directly(loaded, options, start)
         converged = found.result == RESULTS.successful
         # An unstable answer means that a singular point was stepped over: the path, with its
         # imperfections, passes by its side. Only where the path itself is unstable (a column
@@ -255,4 +255,4 @@ def search_by_load(equations: Equations, options: NewtonOptions, U, before=None)
     found = Found(zero, zero, none, none, zero, jnp.array(True))
     start = _Load(none, jnp.ones(()), U, found, U, none, zero, jnp.array(True))
     end = jax.lax.while_loop(lambda state: state.running, attempt, start)
-    return end.U, end.found
+    return end.U, end.found, None
