@@ -6,6 +6,7 @@ Half of the scenes are equilibria, half are motions of 20 steps. They span lengt
 slenderness L/r 5 to 150, Young's modulus 3e4 to 2e11 Pa, density 900 to 8000 kg/m^3, damping
 B/EI 1e-5 to 3e-2 s, dt 1e-5 to 5e-2 s, gravity up to rho A g L^3 / EI = 50, tensions up to 90 %
 of where a tendon's path vanishes, pressures, tip loads, payloads and drag; inputs step or ramp.
+Only motions that would ring for more than 50 periods are not drawn: they take long, and no more.
 Accuracy is asked for with `tolerance=`, as a user would. The refined solution has a finer grid and
 a quarter of the tolerance. Scenes that have no answer, a wrong one, or take long are printed; in the
 end, counts. With --write-readme the map and the counts go into the README.
@@ -36,6 +37,16 @@ GRIDS = sr.Collocation(), sr.Collocation(24)
 TURNS = {"equilibrium": 3.0, "motion": 1.0}
 
 
+PERIODS = 50
+
+
+def periods(frequency, damping, dt):
+    """How many a mode of `frequency` [rad/s] lasts: the whole motion, or until it is damped out."""
+    decay = min(damping * frequency**2 / 2, frequency)
+    lasts = np.log(1 / TOLERANCE) / decay if decay > 0 else np.inf
+    return frequency / (2 * np.pi) * min(STEPS * dt, lasts)
+
+
 def random_scene(rng, kind):
     """A scene and its actuation: (scene, tensions (3,), pressures (1,), dt, ramp, numbers)."""
     log = lambda low, high: float(np.exp(rng.uniform(np.log(low), np.log(high))))
@@ -47,12 +58,18 @@ def random_scene(rng, kind):
     EI, EA = E * I, E * area
     angle = rng.uniform(0, 2 * np.pi) + np.array([0, 2, 4]) * np.pi / 3
     offset = rng.uniform(0.2, 0.8) * r
-    weight, damping, dt = maybe(log(1e-2, 50.0)), log(1e-5, 3e-2), log(1e-5, 5e-2)
+    weight, damping = maybe(log(1e-2, 50.0)), log(1e-5, 3e-2)
     part = maybe(rng.uniform(0, 0.9))  # of the tension at which a path vanishes
     part = min(part, 2 * np.pi * TURNS[kind] * EI / (L * offset) * (1 / EA + offset**2 / EI))
     pull = part / (1 / EA + offset**2 / EI) * rng.dirichlet(np.ones(3) * 0.5)
     chamber, pressure = 0.1 * area, maybe(log(1e-3, 0.1)) * EA / (0.1 * area)
     force, moment = maybe(log(1e-2, 10.0)), maybe(log(1e-2, 5.0))
+    payload, stretch_damping = maybe(log(0.01, 2.0)), maybe(damping)
+    bends = np.sqrt(3 * EI / (density * area * L**4) / (0.2427 + payload))  # rad/s
+    stretches = np.pi / 2 * np.sqrt(E / density) / L
+    dt = log(1e-5, 5e-2)
+    while max(periods(bends, damping, dt), periods(stretches, stretch_damping, dt)) > PERIODS:
+        dt = log(1e-5, 5e-2)
     scene = as_arrays(
         sr.Scene(
             length=L,
@@ -61,12 +78,12 @@ def random_scene(rng, kind):
             poisson_ratio=rng.uniform(0.0, 0.49),
             density=density,
             bending_damping=damping * EI,
-            shear_damping=maybe(damping * EA),
+            shear_damping=stretch_damping * EA,
             gravity=weight * EI / (density * area * L**3) * direction(),
             drag_coefficient=maybe(log(1e-3, 3.0) * density * r),
             tendons=sr.Tendons(offset * np.stack([np.cos(angle), np.sin(angle)], 1)),
             chambers=sr.Chambers(np.array([chamber]), rng.uniform(-0.3, 0.3, (1, 2)) * r),
-            payload=sr.Payload(maybe(log(0.01, 2.0) * density * area * L)),
+            payload=sr.Payload(payload * density * area * L),
             tip_load=sr.TipLoad(force * EI / L**2 * direction(), moment * EI / L * direction()),
         )
     )

@@ -28,7 +28,7 @@ from softrod_jax.statics import unloaded_guess
 from softrod_jax.time_schemes import jumps
 
 # Substeps of one step at most, and the shortest one, where errors choose them.
-MOST_SUBSTEPS, _SHORTEST = 4096, 1e-7
+MOST_SUBSTEPS, _SHORTEST = 1024, 1e-7
 # How a substep's length follows from the error of the one before: a little cautiously, and by
 # these factors at most. After a substep that has no solution: by the last one.
 _CAUTION, _LEAST, _MOST, _AFTER_FAILURE = 0.9, 0.2, 4.0, 0.25

@@ -6,7 +6,6 @@ damped and oscillating rods alike, and sees both kinds of error at once. It fail
 motions miss an oscillation that is faster than their steps, and lasts.
 """
 
-import itertools
 import math
 from typing import Callable
 
@@ -20,9 +19,12 @@ from softrod_jax.results import RESULTS
 from softrod_jax.rod import Rod
 from softrod_jax.time_schemes import TimeScheme
 
-# The limit of the local error in the first try, in tolerances, and how it falls. The errors of many
-# steps add up, so that it starts below one; where they do not, the second try is the last.
-_FIRST_LIMIT, _STRICTER, _TRIES = 0.1, 8.0, 6
+# The limit of the local error in the first try, in tolerances, and how strict it may become. The
+# errors of many steps add up, so that it starts below one.
+_FIRST_LIMIT, _LAST_LIMIT = 0.1, 1e-6
+# How much stricter the next limit is: as the error asks for, which falls a little slower than the
+# limit, within these factors.
+_LEAST_STRICTER, _MOST_STRICTER = 8.0, 64.0
 # Steps per radian of the slowest bending mode in the first try with equal steps.
 _STEPS_PER_RADIAN = 2
 # Failures that more care may cure.
@@ -38,14 +40,14 @@ def run_within(
     Returns the trajectory with its errors in `stats`, in lengths of the rod, and with the code
     `inaccurate` where no care that is offered is enough.
     """
-    length, coarse = float(rod.L), None
-    for care in _cares(rod, dt, scheme, substeps, tolerance):
-        if coarse is not None and not fixed_grid and _needs_finer_grid(coarse, method, tolerance):
+    length, care = float(rod.L), _first_care(rod, dt, scheme, substeps, tolerance)
+    coarse = run(care, method)
+    excess = 1.0
+    while True:
+        if not fixed_grid and _needs_finer_grid(coarse, method, tolerance):
             method = method.finer()
+        care = _more_care(care, excess)
         fine = run(care, method)
-        if coarse is None:
-            coarse = fine
-            continue
         moved = np.linalg.norm(fine.tip_positions - coarse.tip_positions, axis=-1)[1:] / length
         error = np.maximum.accumulate(moved)
         codes = {int(coarse.result), int(fine.result)}
@@ -53,7 +55,10 @@ def run_within(
             return _with(fine, error, method)
         if len(codes) == 1 and not codes & {RESULTS.successful, *_CURABLE}:
             return _with(fine, error, method)  # twice the same answer: there is none
-        coarse = fine
+        if _is_last(care, tolerance):
+            break
+        solved = codes == {RESULTS.successful}
+        coarse, excess = fine, error[-1] / tolerance if solved else 1.0
     if fine.result == RESULTS.successful:
         fine = eqx.tree_at(
             lambda t: (t.result, t.failed_step),
@@ -63,18 +68,25 @@ def run_within(
     return _with(fine, error, method)
 
 
-def _cares(rod, dt, scheme, substeps, tolerance):
-    """What to give to `run` for its `substeps`, from careless to careful."""
+def _first_care(rod, dt, scheme, substeps, tolerance):
+    """What to give to `run` for its `substeps` at first: a `LocalError`, or a number."""
     if scheme.one_step:
-        for k in range(_TRIES):
-            yield LocalError(jnp.array(_FIRST_LIMIT * tolerance / _STRICTER**k))
-        return
+        return LocalError(jnp.array(_FIRST_LIMIT * tolerance))
     # On the device the number of substeps is an input: one program serves all tries.
-    first = max(substeps, _first_substeps(rod, dt, tolerance))
-    most = max(MOST_SUBSTEPS, 2 * first)
-    yield from (jnp.array(first * 2**k) for k in itertools.takewhile(
-        lambda k: first * 2**k <= most, itertools.count()
-    ))
+    return jnp.array(max(substeps, _first_substeps(rod, dt, tolerance)))
+
+
+def _more_care(care, excess: float):
+    """For an error that is `excess` times the tolerance."""
+    if isinstance(care, LocalError):
+        return LocalError(care.limit / np.clip(excess**1.25, _LEAST_STRICTER, _MOST_STRICTER))
+    return care * (4 if excess > 16 else 2)
+
+
+def _is_last(care, tolerance) -> bool:
+    if isinstance(care, LocalError):
+        return bool(care.limit < _LAST_LIMIT * tolerance)
+    return bool(2 * care > MOST_SUBSTEPS)
 
 
 def _first_substeps(rod: Rod, dt: float, tolerance: float) -> int:
