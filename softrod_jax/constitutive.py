@@ -74,7 +74,7 @@ def local_problem(rod: Rod, s, wrench, c0=None, strain_history=None) -> LocalPro
     if c0 is None or rod.front_viscosity is None:
         return problem
     l_h = jnp.sum(_path_maps(problem) * strain_history[..., None, None, :], -1)
-    return problem._replace(viscosity=rod.front_viscosity, c0=c0, l_h=l_h)
+    return problem._replace(viscosity=rod.front_viscosity * rod.tau, c0=c0, l_h=l_h)
 
 
 def recover_strain(problem: LocalProblem, guess: Strain) -> tuple[Strain, Bool[Array, ""]]:

@@ -4,6 +4,7 @@ A step, from one sample of the inputs to the next, is divided into substeps: int
 of equal ones, or into as many as keep the error of each one small.
 """
 
+import dataclasses
 import functools
 from typing import Any, NamedTuple
 
@@ -28,7 +29,10 @@ from softrod_jax.statics import unloaded_guess
 from softrod_jax.time_schemes import jumps
 
 # Substeps of one step at most, and the shortest one, where errors choose them.
-MOST_SUBSTEPS, _SHORTEST = 1024, 1e-7
+MOST_SUBSTEPS, _SHORTEST = 2048, 1e-7
+# A substep in which a wave runs this part of the way from point to point need not be shorter: what
+# error it has is that of the grid, and another grid tells.
+_RUN = 0.1
 # How a substep's length follows from the error of the one before: a little cautiously, and by
 # these factors at most. After a substep that has no solution: by the last one.
 _CAUTION, _LEAST, _MOST, _AFTER_FAILURE = 0.9, 0.2, 4.0, 0.25
@@ -85,6 +89,9 @@ def march(scene, dt, inputs, strain, steps, substeps, scheme, method, options) -
     `strain` (points, 6) at the start, the unloaded rod's if `None`. `substeps`: a number, Python's
     or traced, or a `LocalError`.
     """
+    if isinstance(substeps, LocalError):
+        # A front is rough on any grid. Two grids are compared in the end: that decides.
+        method = dataclasses.replace(method, max_error=jnp.inf)
     spacing = scene.length / (method.points(1.0).shape[0] - 1)
 
     def rod_under(tau, pressure):
@@ -100,7 +107,8 @@ def march(scene, dt, inputs, strain, steps, substeps, scheme, method, options) -
     # No grid holds a front that is thinner than its points are apart: what jumps rises while a wave
     # runs half of that distance, or in a step if that is shorter.
     wave_speed = jnp.sqrt(rod.K_se[2] / rod.rho_A)
-    rise = jnp.minimum(0.5 * spacing / (wave_speed * dt), 1.0)
+    crossing = spacing / (wave_speed * dt)
+    rise, shortest = jnp.minimum(0.5 * crossing, 1.0), _RUN * crossing
 
     def substep(course, first, part, coefficients, state):
         """The part [first, first + part] of a step, and the local error of the fields."""
@@ -110,6 +118,7 @@ def march(scene, dt, inputs, strain, steps, substeps, scheme, method, options) -
             # Not above 1 by rounding: a tension that falls to zero would become negative.
             progress = jnp.minimum(first + at * part, 1.0)
             rod, valid = rod_under(*course.at(progress, rise))
+            valid &= course.finite
             # After a failure, an unloaded rod at rest costs a batch no iterations.
             alive = running.result == RESULTS.successful
             rod = scaled_loads(rod, jnp.where(alive, 1.0, 0.0))
@@ -179,18 +188,20 @@ def march(scene, dt, inputs, strain, steps, substeps, scheme, method, options) -
             shift = tip_shift(*error, rod.L) / substeps.limit
             tried = new[1]
             solved = tried.result == RESULTS.successful
-            ok = solved & (shift <= 1.0)
+            ok = solved & ((shift <= 1.0) | (part <= 1.01 * shortest))
             factor = _CAUTION * jnp.maximum(shift, 1e-12) ** (-1 / scheme.order)
-            factor = jnp.where(solved, jnp.clip(factor, _LEAST, _MOST), _AFTER_FAILURE)
-            next_part = part * factor
-            hopeless = ~ok & (next_part < _SHORTEST) | (tried.result == RESULTS.bad_input)
+            next_part = jnp.where(
+                solved,
+                jnp.maximum(part * jnp.clip(factor, _LEAST, _MOST), jnp.minimum(part, shortest)),
+                part * _AFTER_FAILURE,
+            )
+            hopeless = ~solved & (next_part < _SHORTEST) | (tried.result == RESULTS.bad_input)
             kept = jax.tree.map(lambda a, b: jnp.where(ok, a, b), new, (memory, running))
-            why = jnp.where(solved, RESULTS.inaccurate, tried.result).astype(jnp.int32)
             after = kept[1]._replace(
                 # A substep cut short by the end of the step says little of the next one.
                 part=jnp.where(ok & (part < running.part), running.part, next_part),
                 iterations=tried.iterations,
-                result=jnp.where(hopeless, why, running.result),
+                result=jnp.where(hopeless, tried.result, running.result),
             )
             return (kept[0], after), jnp.where(ok, done + part, done), count + 1
 
@@ -236,8 +247,7 @@ def march(scene, dt, inputs, strain, steps, substeps, scheme, method, options) -
         none,
         jnp.ones(()),
     )
-    course, jumped = _course(inputs, from_rest=strain is None)
-    restart = functools.reduce(jnp.logical_or, jumped, jnp.arange(steps) == 0)
+    course, restart = _course(inputs, steps, from_rest=strain is None)
     length = dt if isinstance(substeps, LocalError) else dt / substeps
     coefficients = scheme.coefficients(length, restart)
     _, (strains, velocities, results, stats) = jax.lax.scan(
@@ -263,11 +273,15 @@ def tip_shift(error: Fields, of_integral: Fields, length) -> Float[Array, ""]:
 
 
 class _Course(NamedTuple):
-    """Inputs of every step: where each comes from, where it goes, and if it jumps there."""
+    """Inputs of every step: where each comes from, where it goes, and if it jumps there.
+
+    `finite`: whether all are; in their place are zeros that spoil no derivative.
+    """
 
     before: tuple
     now: tuple
     jumps: tuple
+    finite: Bool[Array, "steps"]
 
     def at(self, progress, rise):
         """The inputs of one step at `progress` in [0, 1]; those that jump rise within `rise`."""
@@ -277,17 +291,21 @@ class _Course(NamedTuple):
             x = jnp.where(jumps, risen, progress)
             return x * now + (1 - x) * before
 
-        return jax.tree.map(one, *self)
+        return jax.tree.map(one, self.before, self.now, self.jumps)
 
 
-def _course(inputs, from_rest: bool) -> tuple[_Course, Bool[Array, "steps"]]:
-    """The course of the inputs, and at the beginning of which steps any of them jumps.
+def _course(inputs, steps: int, from_rest: bool) -> tuple[_Course, Bool[Array, "steps"]]:
+    """The course of the inputs, and at the beginning of which steps any of them jumps; the first does.
 
     Before the first step all are zero, or, where the motion begins in an equilibrium, what they
     are in that step.
     """
+    rows = [jnp.all(jnp.isfinite(x), axis=1) for x in jax.tree.leaves(inputs)]
+    finite = functools.reduce(jnp.logical_and, rows, jnp.ones(steps, dtype=bool))
+    inputs = jax.tree.map(lambda x: jnp.where(finite[:, None], x, 0.0), inputs)
     jumped = jax.tree.map(jumps, inputs)
     first = lambda x: jnp.zeros_like(x[:1]) if from_rest else x[:1]
     before = jax.tree.map(lambda x: jnp.concatenate([first(x), x[:-1]]), inputs)
-    restart = [jnp.any(jump, axis=1) for jump in jax.tree.leaves(jumped)]
-    return _Course(before, inputs, jumped), restart
+    jump = [jnp.any(jump, axis=1) for jump in jax.tree.leaves(jumped)]
+    restart = functools.reduce(jnp.logical_or, jump, jnp.arange(steps) == 0)
+    return _Course(before, inputs, jumped, finite), restart

@@ -22,8 +22,8 @@ class Rod(eqx.Module):
     - `B_se` [N s], `B_bt` [N m^2 s]: (3,) or None. `C` [kg/m^2]: (3,) or None.
     - `rho_A` [kg/m], `rho_J` [kg m]: (3,), rho diag(Ixx, Iyy, Ixx + Iyy).
     - `weight` = rho A g [N/m], (3,), base frame, or None.
-    - `tendons` with tensions `tau` [N], (tendons,), or None. `front_viscosity` [kg m],
-      (tendons,): see `constitutive.py`.
+    - `tendons` with tensions `tau` [N], (tendons,), or None. `front_viscosity` [s^2]: that of
+      the tendons' paths per tension, in a motion; see `constitutive.py`.
     - `n_ch` [N], `m_ch` [N m]: (3,), body frame: -dW_act/d(v, u) of the chambers, or None.
     - `payload` [kg] or None; `gravity` [m/s^2] or None; `F_tip` [N], `M_tip` [N m] or None.
     - `h_base`: quaternion of the clamp, (4,).
@@ -44,7 +44,7 @@ class Rod(eqx.Module):
     weight: Optional[Float[Array, "3"]] = None
     tendons: Optional[Tendons] = None
     tau: Optional[Float[Array, "tendons"]] = None
-    front_viscosity: Optional[Float[Array, "tendons"]] = None
+    front_viscosity: Optional[Scalar] = None
     n_ch: Optional[Float[Array, "3"]] = None
     m_ch: Optional[Float[Array, "3"]] = None
     payload: Optional[Scalar] = None
@@ -57,7 +57,7 @@ class Rod(eqx.Module):
         return any(x is not None for x in (self.gravity, self.F_tip, self.M_tip))
 
 
-# In units of rho A ds^2 tau / EA, with ds the distance of points. Smaller ones let the fronts of large
+# In units of rho ds^2 / E, with ds the distance of points. Smaller ones let the fronts of large
 # tensions ring. On the paper's rod at dt = 1 ms this one moves the tip by less than 1e-7 m, whether
 # a tendon's 0.1 N jump or 0.3 N rise in 50 ms.
 _FRONT_VISCOSITY = 4.0
@@ -85,7 +85,7 @@ def make_rod(
     moving = dynamic
     front = None
     if tensions is not None and spacing is not None:
-        front = _FRONT_VISCOSITY * scene.density * spacing**2 * tensions / E  # A cancels
+        front = _FRONT_VISCOSITY * scene.density * spacing**2 / E
     return Rod(
         L=scene.length,
         K_se=jnp.stack([kGA, kGA, E * area]),

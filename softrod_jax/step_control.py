@@ -22,6 +22,8 @@ from softrod_jax.time_schemes import TimeScheme
 # The limit of the local error in the first try, in tolerances, and how strict it may become. The
 # errors of many steps add up, so that it starts below one.
 _FIRST_LIMIT, _LAST_LIMIT = 0.1, 1e-6
+# The estimated error along the rod, in tolerances, from which on the grid is refined.
+_GRID_SHARE = 0.25
 # How much stricter the next limit is: as the error asks for, which falls a little slower than the
 # limit, within these factors.
 _LEAST_STRICTER, _MOST_STRICTER = 8.0, 64.0
@@ -44,15 +46,18 @@ def run_within(
     coarse = run(care, method)
     excess = 1.0
     while True:
+        coarse_method = method
         if not fixed_grid and _needs_finer_grid(coarse, method, tolerance):
             method = method.finer()
-        care = _more_care(care, excess)
+        # Where the grid was to blame, too, stricter steps than these may be for nothing.
+        care = _more_care(care, excess if method == coarse_method else 1.0)
         fine = run(care, method)
         moved = np.linalg.norm(fine.tip_positions - coarse.tip_positions, axis=-1)[1:] / length
         error = np.maximum.accumulate(moved)
         codes = {int(coarse.result), int(fine.result)}
         if codes == {RESULTS.successful} and error[-1] <= tolerance:
-            return _with(fine, error, method)
+            if coarse_method != method or not np.max(fine.stats["error"]) > method.max_error:
+                return _with(fine, error, method)
         if len(codes) == 1 and not codes & {RESULTS.successful, *_CURABLE}:
             return _with(fine, error, method)  # twice the same answer: there is none
         if _is_last(care, tolerance):
@@ -109,8 +114,9 @@ def _first_substeps(rod: Rod, dt: float, tolerance: float) -> int:
 def _needs_finer_grid(motion, method: Method, tolerance: float) -> bool:
     if 2 * method.intervals > MOST_INTERVALS:
         return False
-    # The estimate is a pessimist; one that is not a number is above no tolerance.
-    return bool(np.max(motion.stats["error"]) > tolerance) or int(motion.result) in _CURABLE
+    # One that is not a number is above no limit.
+    rough = np.max(motion.stats["error"]) > _GRID_SHARE * tolerance
+    return bool(rough) or int(motion.result) in _CURABLE
 
 
 def _with(motion, error, method):

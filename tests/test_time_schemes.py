@@ -24,7 +24,7 @@ def integrate(scheme, matrix, y0, dt, steps, start_is_jump=True):
     restart = jnp.zeros(steps, bool).at[0].set(start_is_jump)
 
     def step(memory, coefficients):
-        memory, _ = scheme.step(memory, coefficients, solve, Carry(y0))
+        memory, _, _ = scheme.step(memory, coefficients, solve, Carry(y0))
         return memory, memory[0]
 
     _, y = jax.lax.scan(step, scheme.start(y0, y0), scheme.coefficients(jnp.array(dt), restart))
