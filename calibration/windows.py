@@ -1,0 +1,59 @@
+"""Long logs in pieces: an error early in a log must not ruin what comes after it.
+
+A simulation of minutes drifts away from the robot, whatever the parameters: a tendon creeps, a
+sensor warms up, and a phase error grows with every period. Cut into windows, each simulated from
+its own beginning, a log tells as much of the material and less of the drift. A window begins in
+equilibrium under its first inputs, which the rod is not in: a lead before it is simulated and not
+compared, in which the motion forgets how it began.
+"""
+
+from dataclasses import replace
+
+import numpy as np
+
+from calibration.recording import Recording, RecordingError
+
+_LEAST_SAMPLES = 10
+
+
+def split(recording: Recording, duration: float, lead: float) -> list[Recording]:
+    """Windows of `duration` [s] with a lead of `lead` [s] before each but the first.
+
+    A lead of a few decay times of the rod does. What is left at the end joins the last window if it
+    is shorter than half a window. Raises `ValueError` for bad durations and `RecordingError` for a
+    recording without inputs, which is one release and cannot be cut.
+    """
+    if not (np.isfinite(duration) and duration > 0 and np.isfinite(lead) and lead >= 0):
+        raise ValueError(
+            f"duration={duration:g} s, lead={lead:g} s: a duration above 0 and a lead of at least "
+            "0 are needed"
+        )
+    if recording.tensions is None and recording.pressures is None:
+        raise RecordingError(
+            f"{recording.source or recording.name}: a release without inputs is one motion and "
+            "cannot be cut into windows"
+        )
+    begin, end = float(recording.times[0]), float(recording.times[-1])
+    count = max(1, int(np.floor((end - begin) / duration + 0.5)))
+    edges = [begin + k * duration for k in range(count)] + [end]
+    if count == 1:
+        return [recording]
+    windows = []
+    for k in range(count):
+        start = edges[k] if k == 0 else max(begin, edges[k] - lead)
+        last = k == count - 1
+        window = recording.window(start, edges[k + 1])
+        before = window.times < edges[k]
+        after = np.zeros_like(before) if last else window.times >= edges[k + 1]
+        tip = np.where((before | after)[:, None], np.nan, window.tip_positions)
+        if np.count_nonzero(np.all(np.isfinite(tip), axis=1)) < _LEAST_SAMPLES:
+            continue
+        windows.append(
+            replace(
+                window,
+                tip_positions=tip,
+                name=f"{recording.name}-{k + 1}",
+                starts_hanging=recording.starts_hanging if k == 0 else True,
+            )
+        )
+    return windows
