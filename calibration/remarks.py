@@ -112,8 +112,8 @@ def _implausible(fit):
                 f"drag_coefficient is larger than air can cause on a body {1e3 * width:.3g} mm "
                 f"wide (about {air:.2g} kg/m^2): unless the rod moves in a liquid, it stands for "
                 "some other loss that grows with amplitude: friction, a damping of the material "
-                "that is not viscous or, after a release by hand, fingers that followed the rod (fit "
-                "release_duration)."
+                "that is not viscous or, after a release by hand, fingers that followed the rod "
+                "(fit release_duration)."
             )
 
 
@@ -137,8 +137,8 @@ def _held_out(fit):
         if r.rmse > _WORSE * fitted:
             yield (
                 f"{r.name}, which was kept aside, is predicted to {1e3 * r.rmse:.3g} mm rms, and "
-                f"the recordings of the fit to {1e3 * fitted:.3g} mm or better: what was fitted does "
-                "not hold for it."
+                f"the recordings of the fit to {1e3 * fitted:.3g} mm or better: what was fitted "
+                "does not hold for it."
             )
 
 
