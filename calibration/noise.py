@@ -41,45 +41,76 @@ def estimate_noise(best: Point) -> Noise:
     J = best.jacobian.reshape(*weights.shape, n)
     # A perfect fit leaves rounding errors, which are no noise of zero.
     floor = (1e-9 * float(problem.scene.length)) ** 2
-    meat, plain, variances = np.zeros((n, n)), np.zeros((n, n)), []
-    for k, axis in np.argwhere(np.any(known, axis=1)):
-        at = known[k, :, axis]
-        times = np.asarray(problem.batch.times)[k, at]
-        index = np.rint((times - times[0]) / problem.clocks[k].interval).astype(int)
-        series = np.zeros(index[-1] + 1)
-        series[index] = residuals[k, at, axis]
-        variance = max(np.mean(residuals[k, at, axis] ** 2), floor)
-        JJ = J[k, at, axis].T @ J[k, at, axis]
-        meat += variance * _peak(series, int(np.sum(at))) * JJ
-        plain += variance * JJ
-        variances.append(variance)
-    total = int(np.sum(known))
     H = best.jacobian.T @ best.jacobian
     H = H + 1e-12 * np.trace(H) * np.eye(n)
+    meat, plain, variances = np.zeros((n, n)), np.zeros((n, n)), []
+    for k in range(len(known)):
+        blocks = [
+            _series(problem, residuals, J, known, k, axis)
+            for axis in np.flatnonzero(np.any(known[k], axis=0))
+        ]
+        lags = [_autocorrelation(series, fitted, H) for series, _, fitted in blocks]
+        # A camera is as slow in one direction as in another: all together tell more than each.
+        counts = np.array([count for _, count, _ in blocks])
+        least = min(len(rho) for rho in lags)
+        together = np.average([rho[:least] for rho in lags], axis=0, weights=counts)
+        common = _peak(together, int(np.sum(counts)))
+        for (series, count, fitted), rho in zip(blocks, lags, strict=True):
+            JJ = fitted.T @ fitted
+            peak = max(_peak(rho, count), common)
+            # What the unknowns have fitted away of this noise; so many they are here.
+            absorbed = min(peak * np.trace(np.linalg.solve(H, JJ)), 0.5 * count)
+            variance = max(np.sum(series**2) / (count - absorbed), floor)
+            meat += variance * peak * JJ
+            plain += variance * JJ
+            variances.append(variance)
+    total = int(np.sum(known))
     trace = lambda M: float(np.trace(np.linalg.solve(H, M)))
     effective = total * min(1.0, trace(plain) / max(trace(meat), 1e-300))
-    # What n unknowns have fitted away of the noise.
-    freedom = effective / max(effective - n, 1.0)
-    return Noise(freedom * meat, freedom * float(np.mean(variances)), total, effective)
+    return Noise(meat, float(np.mean(variances)), total, effective)
 
 
-def _peak(series: np.ndarray, count: int) -> float:
-    """The largest value of the spectrum of `series` relative to that of white noise, at least 1.
+def _series(problem, residuals, J, known, k, axis):
+    """Residuals of a recording and axis on an even grid, 0 where missing; how many there are; and
+    their sensitivities on that grid."""
+    at = known[k, :, axis]
+    times = np.asarray(problem.batch.times)[k, at]
+    index = np.rint((times - times[0]) / problem.clocks[k].interval).astype(int)
+    series, fitted = np.zeros(index[-1] + 1), np.zeros((index[-1] + 1, J.shape[-1]))
+    series[index], fitted[index] = residuals[k, at, axis], J[k, at, axis]
+    return series, int(np.sum(at)), fitted
 
-    `count` of its samples are there, the others are 0 and left out of the autocovariances.
+
+def _autocorrelation(series, fitted, H) -> np.ndarray:
+    """Of the noise, from residuals of a fit: (lags,), 1 at lag 0.
+
+    A fit takes out of the noise what looks like its sensitivities, and of correlated noise more.
+    To first order in 1/samples, that lowers a lag by the autocorrelation of the projection.
     """
+    count = len(series)
     largest = min(_LARGEST_ORDER, count // _SAMPLES_AN_ORDER)
     power = np.sum(series**2)
     if largest < 1 or power == 0:
-        return 1.0
-    lagged = [np.sum(series[lag:] * series[: len(series) - lag]) for lag in range(largest + 1)]
-    rho = np.array(lagged) / power
+        return np.ones(1)
+    projected = np.linalg.solve(H, fitted.T).T
+    rho = []
+    for lag in range(largest + 1):
+        ahead, behind = series[lag:], series[: count - lag]
+        absorbed = np.sum(fitted[lag:] * projected[: count - lag])
+        rho.append((np.sum(ahead * behind) / power * count + absorbed) / count)
+    return np.array(rho) / rho[0]
+
+
+def _peak(rho: np.ndarray, count: int) -> float:
+    """The largest value of a spectrum relative to that of white noise, at least 1, from the
+    autocorrelations `rho` of `count` samples."""
     # Levinson-Durbin; `left` is the part of the variance that the model does not explain.
     best, a, left = (0.0, np.zeros(0), 1.0), np.zeros(0), 1.0
-    for order in range(1, largest + 1):
+    for order in range(1, len(rho)):
         reflection = (rho[order] - a @ rho[order - 1 : 0 : -1]) / left
+        reflection = np.clip(reflection, -0.99, 0.99)
         a = np.append(a - reflection * a[::-1], reflection)
-        left *= max(1 - reflection**2, 1e-6)
+        left *= 1 - reflection**2
         criterion = count * np.log(left) + order * np.log(count)
         if criterion < best[0]:
             best = (criterion, a, left)

@@ -159,14 +159,14 @@ def choose(
     known, groups = catalogue(scene)
     if fit is None:
         return tuple(n for n in DEFAULT if getattr(scene, n) is not None)
-    given = (fit,) if isinstance(fit, str) else tuple(fit)
-    if not given:
+    asked = (fit,) if isinstance(fit, str) else tuple(fit)
+    if not asked:
         raise ValueError("fit: no parameters; name at least one, or leave it out for the default")
     if "gravity_tilt" in groups:
         # A turn about gravity itself changes nothing.
         along = "xyz"[int(np.argmax(np.abs(np.asarray(scene.gravity))))]
         groups["gravity_tilt"] = tuple(n for n in groups["gravity_tilt"] if n[-1] != along)
-    names = tuple(n for name in given for n in groups.get(name, (name,)))
+    names = tuple(n for name in asked for n in groups.get(name, (name,)))
     for name in names:
         if names.count(name) > 1:
             raise ValueError(f"fit: {name!r} is named twice; leave one out")
