@@ -20,7 +20,8 @@ from calibration.optimise import levenberg_marquardt
 from calibration.progress import Report
 
 _QUANTILE = 1.959964  # of the normal distribution, 97.5 %
-_TRIES, _PRECISION = 7, 0.1
+_TRIES, _PRECISION = 7, 0.2
+_FOLLOWS = 0.2
 # What is believed of a delay beforehand, in sample intervals.
 _PRIOR_DELAY = 7.0
 
@@ -79,8 +80,10 @@ def estimate(best: Point, report: Report) -> Uncertainty:
     allowed = quantile**2 * np.diag(covariance) / np.diag(inverse)
     for i, u in enumerate(items):
         if errors[i] > u.parameter.scale.vague:
-            low[i] = _bound(best, i, -1.0, errors[i], allowed[i], prior, report)
-            high[i] = _bound(best, i, 1.0, errors[i], allowed[i], prior, report)
+            # How the others follow where this one goes.
+            valley = covariance[:, i] / covariance[i, i]
+            low[i] = _bound(best, i, -1.0, valley, errors[i], allowed[i], prior, report)
+            high[i] = _bound(best, i, 1.0, valley, errors[i], allowed[i], prior, report)
     return Uncertainty(
         standard_errors=errors,
         correlation=covariance / np.outer(errors, errors),
@@ -109,26 +112,31 @@ def _verdict(low: float, high: float, widest: float) -> str:
     return NOT_IDENTIFIABLE
 
 
-def _bound(best: Point, i: int, side: float, error, allowed, prior, report) -> float:
+def _bound(best: Point, i: int, side: float, valley, error, allowed, prior, report) -> float:
     """Where the best loss at fixed x[i] exceeds the least by more than noise explains.
 
     +-inf if nowhere within the bounds of the fit; a place that cannot be simulated is beyond. The
-    other unknowns are fitted again by one Gauss-Newton step, which costs no simulation.
+    other unknowns stay, or follow along the `valley`, (unknowns,), whichever is better, and are
+    fitted again by one Gauss-Newton step, which costs no simulation.
     """
     problem = best.problem
     room = abs(problem.bounds[0 if side < 0 else 1][i] - best.x[i])
+    alone = np.where(np.arange(best.x.size) == i, 1.0, 0.0)
+    ways = [valley, alone] if np.max(np.abs(valley - alone)) > _FOLLOWS else [alone]
 
     def excess(distance):
-        x = best.x.copy()
-        x[i] += side * distance
-        point = problem.at(x)
-        report(point)
-        if not point.ok:
-            return np.inf
-        others = np.delete(np.arange(x.size), i)
-        J, r = point.jacobian[:, others], point.residuals
-        step = -np.linalg.solve(J.T @ J + prior[np.ix_(others, others)], J.T @ r)
-        return max(np.sum((r + J @ step) ** 2) - best.loss, 0.0)
+        least = np.inf
+        for way in ways:
+            point = problem.at(best.x + side * distance * way)
+            report(point)
+            if point.ok:
+                others = np.delete(np.arange(best.x.size), i)
+                J, r = point.jacobian[:, others], point.residuals
+                step = -np.linalg.solve(J.T @ J + prior[np.ix_(others, others)], J.T @ r)
+                least = min(least, max(np.sum((r + J @ step) ** 2) - best.loss, 0.0))
+            if least <= allowed:
+                break
+        return least
 
     if room == 0:
         return side * np.inf
