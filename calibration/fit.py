@@ -11,18 +11,19 @@ import numpy as np
 
 import softrod_jax as sr
 from calibration import materials, optimise, robust, uncertainty
+from calibration.assemble import estimates, recording_fit
 from calibration.checkpoint import Checkpoint
-from calibration.checks import Refined, hold_out, refine, row
+from calibration.checks import Refined, hold_out, refine
 from calibration.explain import explain as what_else
 from calibration.loss import Point, Problem
-from calibration.model import METHOD, SCHEME, make_batch, tip_at
+from calibration.model import METHOD, SCHEME, make_batch
 from calibration.optimise import Outcome
 from calibration.parameters import catalogue
 from calibration.progress import Bar, Meter, Silent
 from calibration.recording import Recording
-from calibration.results import Estimate, Fit, RecordingFit, Start
+from calibration.results import Fit, RecordingFit, Start
 from calibration.scales import Factor
-from calibration.selection import Selection, kept, select
+from calibration.selection import select
 from calibration.unknowns import Unknowns, choose_unknowns
 
 # Half the width of the span from which the starts of a multi-start are drawn: one decade.
@@ -156,9 +157,9 @@ def calibrate(
     return Fit(
         scene=problem.fitted_setup(best.x).scene,
         setup=problem.fitted_setup(best.x),
-        parameters=_estimates(problem, best, known, finer, labels),
+        parameters=estimates(problem, best, known, finer, labels),
         recordings=tuple(
-            _recording_fit(best, k, label, r, s, known, finer.motions)
+            recording_fit(best, k, label, r, s, known, finer.motions)
             for k, (label, r, s) in enumerate(zip(labels, recordings, selections, strict=False))
         ),
         held_out=others,
@@ -318,95 +319,10 @@ def _held_out(best: Point, recordings, labels, window, dt, defaults) -> tuple[Re
         unknowns = problem.unknowns.shared(many)
         point = hold_out(replace(problem, batch=batch, clocks=clocks, unknowns=unknowns), best)
         found += [
-            _recording_fit(point, k, labels[first + k], r, s)
+            recording_fit(point, k, labels[first + k], r, s)
             for k, (r, s) in enumerate(zip(some, selections, strict=True))
         ]
     return tuple(found)
-
-
-def _estimates(problem: Problem, best: Point, known, finer, labels) -> dict[str, Estimate]:
-    out = {}
-    for i, u in enumerate(problem.unknowns.items):
-
-        def at(theta, u=u):
-            return _plain(u.value(theta)) if np.isfinite(theta) else None
-
-        def relative(shift, i=i, u=u):
-            if shift is None:
-                return None
-            # The ends of an interval that is open are no measure.
-            width = known.quantile * known.standard_errors[i]
-            return float(shift[i] / min(width, max(u.parameter.scale.vague, 1.0)))
-
-        out[u.label] = Estimate(
-            name=u.parameter.name,
-            recording=None if u.recording is None else labels[u.recording],
-            value=at(best.x[i]),
-            ci95=(at(known.low[i]), at(known.high[i])),
-            initial=_plain(u.initial),
-            unit=u.parameter.unit,
-            verdict=known.verdicts[i],
-            standard_error=float(known.standard_errors[i]),
-            step_shift=relative(finer.by_step),
-            grid_shift=relative(finer.by_grid),
-        )
-    return out
-
-
-def _plain(value):
-    value = np.asarray(value)
-    return float(value) if value.ndim == 0 else value
-
-
-def _recording_fit(
-    best: Point,
-    k: int,
-    label: str,
-    recording: Recording,
-    selection: Selection,
-    known: uncertainty.Uncertainty | None = None,
-    finer=None,
-) -> RecordingFit:
-    problem, evaluation = best.problem, best.evaluation
-    clock = problem.clocks[k]
-    chosen = kept(recording, selection)
-    times, measured = recording.times[chosen], recording.tip_positions[chosen]
-    residuals = np.where(np.isfinite(measured), evaluation.residuals[k, : len(times)], np.nan)
-    delay = problem.delays(best.x)[k]
-    motion, alignment = row(evaluation.motion, k), row(evaluation.alignment, k)
-    curve_times = np.linspace(times[0], times[-1], 4 * len(times))
-    simulate_at = jnp.asarray(curve_times - clock.origin - delay)
-    curve = tip_at(motion, clock.dt, simulate_at)
-    curve = np.asarray(curve + alignment.of(curve - motion.positions[0]))
-    at = clock.origin - clock.zero + delay
-    ci95 = None
-    if problem.time_offset and known is not None:
-        error = known.standard_errors[problem.size + k] * clock.interval
-        ci95 = (at - known.quantile * error, at + known.quantile * error)
-    count = np.maximum(np.sum(np.isfinite(residuals), axis=0), 1)
-    axes = np.sqrt(np.nansum(residuals**2, axis=0) / count)
-    shown, step = (motion, clock.dt) if finer is None else (row(finer, k), clock.dt / 2)
-    duration = selection.end - clock.origin - delay
-    rows = np.arange(min(len(shown.shapes), int(duration / step) + 2))
-    return RecordingFit(
-        name=label,
-        recording=recording,
-        selection=selection,
-        times=times,
-        measured=measured,
-        simulated=measured + residuals,
-        weights=problem.weights[k, : len(times)],
-        curve_times=curve_times,
-        curve=curve,
-        rmse=float(np.sqrt(np.nansum(residuals**2) / len(times))),
-        rmse_axes=np.where(np.any(np.isfinite(measured), axis=0), axes, np.nan),
-        time_offset=at,
-        time_offset_ci95=ci95,
-        tip_offset=None if recording.origin_known else np.asarray(alignment.offset),
-        frame_rotation=None if recording.origin_known else np.asarray(alignment.rotation),
-        shape_times=step * rows,
-        shapes=np.asarray(shown.shapes)[rows],
-    )
 
 
 def _labels(recordings) -> list[str]:

@@ -183,10 +183,10 @@ def convergence_figure(fit: Fit) -> Figure:
     figure = Figure(figsize=(9, 3), layout="constrained")
     axis = figure.subplots()
     rms = np.array([np.nan if h["rms_m"] is None else 1e3 * h["rms_m"] for h in fit.history])
-    stages = [h["stage"] for h in fit.history]
+    stages = [re.sub(r" \d+ of \d+$", "", h["stage"]) for h in fit.history]
     for stage in dict.fromkeys(stages):
         index = np.flatnonzero([s == stage for s in stages])
-        axis.semilogy(index + 1, rms[index], ".-", ms=4, lw=0.8, label=stage)
+        axis.semilogy(index + 1, rms[index], ".", ms=4, label=stage)
     axis.set_xlabel("evaluation")
     axis.set_ylabel("rms distance [mm]")
     axis.legend(fontsize=8)

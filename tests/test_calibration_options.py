@@ -6,9 +6,9 @@ from dataclasses import replace
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from beams import NOISE, RELEASE, SETTINGS, TRUTH, beam, release
 
 import softrod_jax as sr
-from beams import NOISE, RELEASE, SETTINGS, TRUTH, beam, release
 from calibration import RecordingError, calibrate
 from calibration.checkpoint import CheckpointError
 from calibration.optimise import levenberg_marquardt
@@ -32,7 +32,7 @@ def recording():
 
 @pytest.fixture(scope="module")
 def plain(recording):
-    return fit([recording], starts=2, profiles=NAMES[:1])
+    return fit([recording], starts=20, profiles=NAMES[:1])
 
 
 def near(found, name, truth, widths=2.0):
@@ -42,11 +42,14 @@ def near(found, name, truth, widths=2.0):
 
 
 def test_starts_end_in_the_same_place(plain):
-    assert len(plain.starts) == 2
-    assert plain.starts[0].rms == pytest.approx(plain.starts[1].rms, rel=1e-3)
+    """From a decade around the scene's values on either side."""
+    initial = np.array([s.initial["young_modulus"] for s in plain.starts])
+    assert len(initial) == 20 and np.max(initial) / np.min(initial) > 10
+    same = [s for s in plain.starts if s.rms < 1.001 * plain.starts[0].rms]
+    assert len(same) >= 19
     for name, truth in TRUTH.items():
         assert near(plain, name, truth)
-        assert plain.starts[1].values[name] == pytest.approx(plain.starts[0].values[name], rel=0.01)
+        assert all(s.values[name] == pytest.approx(same[0].values[name], rel=0.01) for s in same)
 
 
 def test_a_profile_crosses_one_at_the_ends_of_the_interval(plain):

@@ -5,9 +5,9 @@ from dataclasses import replace
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from beams import SETTINGS
 
 import softrod_jax as sr
-from beams import SETTINGS
 from calibration import Recording
 from calibration.loss import Problem, predict
 from calibration.model import make_batch

@@ -4,8 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-
 from beams import RELEASE, SETTINGS, TRUTH, beam, release
+
 from calibration import calibrate
 from calibration.noise import _peak
 
