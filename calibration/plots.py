@@ -11,6 +11,7 @@ from matplotlib.figure import Figure
 from calibration.recording import Recording
 from calibration.results import Fit, RecordingFit
 from calibration.selection import select
+from calibration.spectra import amplitudes
 
 _MEASURED, _SIMULATED, _QUIET = "#1f77b4", "#d62728", "#888888"
 _SHAPES = 14
@@ -116,32 +117,13 @@ def residual_figure(recording: RecordingFit) -> Figure:
     in_time.legend(ncols=3, fontsize=8)
     f, left = amplitudes(recording.times, residuals)
     _, motion = amplitudes(recording.times, 1e3 * recording.measured)
-    in_frequency.semilogy(f, motion, color=_QUIET, lw=1, label="motion")
-    in_frequency.semilogy(f, left, color=_SIMULATED, lw=1, label="residuals")
+    together = lambda parts: np.sqrt(np.sum(parts**2, axis=1)) + 1e-12
+    in_frequency.semilogy(f, together(motion), color=_QUIET, lw=1, label="motion")
+    in_frequency.semilogy(f, together(left), color=_SIMULATED, lw=1, label="residuals")
     in_frequency.set_xlabel("frequency [Hz]")
     in_frequency.set_ylabel("amplitude [mm]")
     in_frequency.legend(fontsize=8)
     return figure
-
-
-def amplitudes(times: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Frequencies [Hz] and the amplitude there of `values`, (T, 3), all axes together.
-
-    Missing samples are interpolated; the mean is taken out.
-    """
-    interval = float(np.median(np.diff(times)))
-    even = np.arange(times[0], times[-1] + interval / 2, interval)
-    total = 0.0
-    for column in values.T:
-        known = np.isfinite(column)
-        if np.count_nonzero(known) < 2:
-            continue
-        path = np.interp(even, times[known], column[known])
-        window = np.hanning(len(even))
-        spectrum = np.fft.rfft(window * (path - np.mean(path))) / (np.sum(window) / 2)
-        total = total + np.abs(spectrum) ** 2
-    f = np.fft.rfftfreq(len(even), interval)
-    return f[1:], np.sqrt(total + np.zeros(len(f)))[1:] + 1e-12
 
 
 def motion_figure(recording: RecordingFit) -> Figure:

@@ -5,6 +5,7 @@ import numpy as np
 from calibration.materials import MATERIALS, SOFT
 from calibration.results import Fit
 from calibration.scales import LARGEST_FACTOR
+from calibration.spectra import amplitudes
 
 _AIR_DENSITY = 1.2  # kg/m^3
 _BLUFF = 2.0  # drag coefficient of a flat plate or a square bar across the stream
@@ -15,6 +16,8 @@ _SMALL_SHIFT = 0.25
 _WORSE = 1.5
 # .. and starts ended in the same place if their residuals agree to this part.
 _SAME_END = 0.01
+# Residuals at a frequency are the simulation's own if they are so much larger than the motion.
+_OF_ITS_OWN = 5.0
 # A parameter that would take away this part of the residuals (rms) is worth a remark.
 _TELLING = 0.15
 
@@ -30,9 +33,11 @@ def remarks(fit: Fit) -> list[str]:
         *_held_out(fit),
         *_correlated(fit),
         *_systematic(fit),
+        *_ringing(fit),
         *_explained(fit),
         *_outliers(fit),
         *_frames(fit),
+        *_beside_the_scene(fit),
     ]
 
 
@@ -151,6 +156,20 @@ def _systematic(fit):
         )
 
 
+def _ringing(fit):
+    for r in fit.recordings:
+        f, left = amplitudes(r.times, r.simulated - r.measured)
+        _, motion = amplitudes(r.times, r.measured)
+        for axis, letter in enumerate("xyz"):
+            k = int(np.argmax(left[:, axis]))
+            if left[k, axis] > _OF_ITS_OWN * motion[k, axis] > 0:
+                yield (
+                    f"{r.name}: along {letter} the simulation rings at {f[k]:.3g} Hz, "
+                    f"{1e3 * left[k, axis]:.2g} mm large, and the robot does not. A damping is "
+                    "missing; waves along the rod are damped by shear_damping."
+                )
+
+
 def _explained(fit):
     left = np.sqrt(np.mean([r.rmse**2 for r in fit.recordings]))
     for e in fit.explanations or ():
@@ -180,6 +199,16 @@ def _frames(fit):
                 f"({a:.1f}, {b:.1f}, {c:.1f}) degrees about x, y, z, were fitted along with the "
                 "parameters."
             )
+
+
+def _beside_the_scene(fit):
+    beside = ("tendon_efficiency", "sensor_offset", "release_duration")
+    names = [k for k, e in fit.parameters.items() if e.name.startswith(beside) or e.recording]
+    if names:
+        yield (
+            f"{', '.join(names)}: not part of the fitted scene file, which holds what belongs to "
+            "the robot and to all recordings."
+        )
 
 
 def _show(value, unit: str) -> str:

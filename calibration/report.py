@@ -160,6 +160,7 @@ def _html(fit: Fit, pictures: dict[str, Path]) -> str:
         "much later than the inputs the tip's clock says they began. Samples used: "
         + "; ".join(sorted({escape(r.selection.rule) for r in fit.recordings}))
         + ".</small></p>",
+        *_notes(fit),
         *_held_out(fit),
         *_starts(fit),
         *_explanations(fit),
@@ -190,6 +191,16 @@ def _headline(fit: Fit) -> str:
         f"{1e3 * worst:.3g} mm rms from the measured one"
         + (" in the worst of them." if len(fit.recordings) > 1 else ".")
     )
+
+
+def _notes(fit: Fit) -> list[str]:
+    """What readers assumed, and in what recordings differ from the scene."""
+    lines = []
+    for r in (*fit.recordings, *fit.held_out):
+        conditions = [f"{k} = {v:g}" for k, v in r.recording.conditions.items()]
+        said = (*r.recording.notes, *conditions)
+        lines += [f"<li>{escape(r.name)}: {escape(text)}</li>" for text in said]
+    return ["<ul>", *lines, "</ul>"] if lines else []
 
 
 def _held_out(fit: Fit) -> list[str]:

@@ -3,8 +3,9 @@
 A simulation of minutes drifts away from the robot, whatever the parameters: a tendon creeps, a
 sensor warms up, and a phase error grows with every period. Cut into windows, each simulated from
 its own beginning, a log tells as much of the material and less of the drift. A window begins in
-equilibrium under its first inputs, which the rod is not in: a lead before it is simulated and not
-compared, in which the motion forgets how it began.
+equilibrium under its first inputs: it is made to begin where the tip is quietest, and a lead before
+the window is simulated and not compared, in which the motion forgets how it began. A rod that rings
+for longer than the lead, and never rests, cannot be cut.
 """
 
 from dataclasses import replace
@@ -14,13 +15,16 @@ import numpy as np
 from calibration.recording import Recording, RecordingError
 
 _LEAST_SAMPLES = 10
+# Movement is looked at over so many samples; below this part of the tip's range it is rest.
+_LOOK, _STILL = 5, 0.02
 
 
 def split(recording: Recording, duration: float, lead: float) -> list[Recording]:
-    """Windows of `duration` [s] with a lead of `lead` [s] before each but the first.
+    """Windows of `duration` [s] with a lead of at least `lead` [s] before each but the first.
 
-    A lead of a few decay times of the rod does. What is left at the end joins the last window if it
-    is shorter than half a window. Raises `ValueError` for bad durations and `RecordingError` for a
+    A lead of a few decay times of the rod does; it begins up to half a window earlier if the tip is
+    quieter there, and the window's `notes` say so if it is not at rest at all. What is left at the
+    end joins the last window if it is shorter than half a window. Raises `ValueError` for bad durations and `RecordingError` for a
     recording without inputs, which is one release and cannot be cut.
     """
     if not (np.isfinite(duration) and duration > 0 and np.isfinite(lead) and lead >= 0):
@@ -40,7 +44,14 @@ def split(recording: Recording, duration: float, lead: float) -> list[Recording]
         return [recording]
     windows = []
     for k in range(count):
-        start = edges[k] if k == 0 else max(begin, edges[k] - lead)
+        start, notes = begin, ()
+        if k:
+            start, moving = _quietest(recording, edges[k] - lead - duration / 2, edges[k] - lead)
+            if moving > _STILL:
+                notes = (
+                    f"the tip moves by {moving:.0%} of its range where the window's lead begins, "
+                    "and is simulated as if it rested: give a longer lead, or a moment of rest",
+                )
         last = k == count - 1
         window = recording.window(start, edges[k + 1])
         before = window.times < edges[k]
@@ -53,7 +64,23 @@ def split(recording: Recording, duration: float, lead: float) -> list[Recording]
                 window,
                 tip_positions=tip,
                 name=f"{recording.name}-{k + 1}",
+                notes=(*recording.notes, *notes),
                 starts_hanging=recording.starts_hanging if k == 0 else True,
             )
         )
     return windows
+
+
+def _quietest(recording: Recording, low: float, high: float) -> tuple[float, float]:
+    """The time [s] between `low` and `high` at which the tip moves least, and by how much it moves
+    there within a few samples, as a part of its range. `high` and 0 if no tip is known there."""
+    known = recording.has_tip
+    times, tip = recording.times[known], recording.tip_positions[known]
+    inside = np.flatnonzero((times >= low) & (times <= high))
+    inside = inside[inside + _LOOK <= len(tip)]
+    if not len(inside):
+        return max(high, float(recording.times[0])), 0.0
+    whole = np.linalg.norm(np.ptp(tip, axis=0))
+    moved = [np.linalg.norm(np.ptp(tip[k : k + _LOOK], axis=0)) for k in inside]
+    best = int(np.argmin(moved))
+    return float(times[inside[best]]), float(moved[best] / whole) if whole > 0 else 0.0

@@ -81,6 +81,8 @@ CASES = [
      [*RUN, "--mapping", "m.toml"], ["a.csv", "10 s apart", "ms"]),
     ("an unknown condition", {"a.csv": TABLE, "m.toml": MAP + "[conditions]\nwind = 3\n"},
      [*RUN, "--mapping", "m.toml"], ["a.csv", "'wind'", "known:"]),
+    ("a condition too many", {"a.csv": LOG}, [*RUN, "--condition", "payload_mass=0,1"],
+     ["--condition payload_mass=0,1", "1 number"]),
     ("an unknown parameter", {"a.csv": LOG}, [*RUN, "--fit", "stiffness"],
      ["'stiffness'", "young_modulus"]),
     ("a parameter that is not there", {"a.csv": LOG}, [*RUN, "--fit", "payload_mass"],

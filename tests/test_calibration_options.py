@@ -13,6 +13,7 @@ from calibration import RecordingError, calibrate
 from calibration.checkpoint import CheckpointError
 from calibration.optimise import levenberg_marquardt
 from calibration.report import as_json, write_report
+from calibration.spectra import amplitudes
 from calibration.windows import split
 
 ALL = (0.0, 1.0)
@@ -206,19 +207,36 @@ def test_the_report_is_one_file_and_its_scene_can_be_simulated(recording, plain,
     assert content["parameters"]["young_modulus"]["verdict"] == "identified"
 
 
-def test_a_log_is_cut_into_windows():
+def test_amplitudes_of_a_sine():
+    times = np.arange(0, 2, 0.01)
+    values = np.stack([3 * np.sin(2 * np.pi * 10 * times), np.full(200, np.nan)], axis=1)
+    values[[20, 21], 0] = np.nan
+    f, size = amplitudes(times, values)
+    k = np.argmax(size[:, 0])
+    assert f[k] == pytest.approx(10, abs=0.3)
+    assert size[k, 0] == pytest.approx(3, rel=0.05)
+    assert np.all(size[:, 1] == 0)
+
+
+def test_a_log_is_cut_into_windows_where_it_rests():
     t = np.arange(0, 10, 0.01)
+    # Moves but for a tenth of a second before 2 s, and from 5.2 s on.
+    moving = (t < 1.9) | ((t > 2.0) & (t < 5.2))
     tip = np.zeros((len(t), 3)) + [0, 0, 0.1]
+    tip[:, 0] = np.where(moving, 0.01 * np.sin(20 * t), 0.0)
     log = replace(
         release(beam()), times=t, tensions=np.ones((len(t), 1)), tip_positions=tip, name="log"
     )
     windows = split(log, duration=3.0, lead=0.5)
     assert [w.name for w in windows] == ["log-1", "log-2", "log-3"]
-    assert [w.times[0] for w in windows] == pytest.approx([0.0, 2.5, 5.5])
+    assert [w.times[0] for w in windows] == pytest.approx([0.0, 1.9, 5.2], abs=0.011)
     used = [w.times[w.has_tip] for w in windows]
     assert [u[0] for u in used] == pytest.approx([0.0, 3.0, 6.0])
     assert sum(map(len, used)) == len(t)
     assert [w.starts_hanging for w in windows] == [None, True, True]
+    assert not any(w.notes for w in windows)
+    restless = replace(log, tip_positions=tip + np.sin(20 * t)[:, None] * [0.01, 0, 0])
+    assert "where the window's lead begins" in split(restless, 3.0, 0.5)[1].notes[0]
     with pytest.raises(RecordingError, match="release without inputs"):
         split(release(beam()), 1.0, 0.1)
     with pytest.raises(ValueError, match="duration=-1"):

@@ -6,6 +6,7 @@ beside LOG whose name is LOG's with .map.toml in place of its ending is used for
 """
 
 import argparse
+from dataclasses import replace
 from pathlib import Path
 
 from calibration.cli.common import UsageError, note, number, positive, prepare_jax
@@ -89,6 +90,13 @@ def add_arguments(parser) -> None:
     data = parser.add_argument_group("data")
     data.add_argument("--mapping", metavar="FILE.toml", help="which columns of the logs are what")
     data.add_argument(
+        "--condition",
+        metavar="NAME=V1,V2,..",
+        nargs="+",
+        help="in what the recordings differ from the scene, such as payload_mass=0,0.052: a value "
+        "for each LOG, then for each of --held-out",
+    )
+    data.add_argument(
         "--look", action="store_true", help="plot the recordings to DIR/data.png, and stop there"
     )
     data.add_argument(
@@ -141,8 +149,15 @@ def run(args) -> int:
         raise UsageError(f"{e}: pip install 'softrod_jax[calibration]'") from None
 
     scene = sr.load_scene(scene_path)
-    recordings = _recordings(args, log_paths, scene)
-    held_out = _recordings(args, args.held_out or (), scene)
+    held_out_paths = args.held_out or []
+    read = _recordings(args, [*log_paths, *held_out_paths], scene)
+    read = _conditioned(read, args.condition or ())
+    recordings, held_out = (
+        _cut(args, part) for part in (read[: len(log_paths)], read[len(log_paths) :])
+    )
+    for recording in [*recordings, *held_out]:
+        for assumption in recording.notes:
+            note(f"{recording.name}: {assumption}")
     out.mkdir(parents=True, exist_ok=True)
     picture = write_data_plot([*recordings, *held_out], None, out / "data.png")
     if args.look:
@@ -194,7 +209,6 @@ def _bound(text: str) -> tuple[str, tuple[float, float]]:
 
 def _recordings(args, paths, scene):
     from calibration import load_recording
-    from calibration.windows import split
 
     options = {
         name: value
@@ -208,7 +222,7 @@ def _recordings(args, paths, scene):
     if options.get("base_markers", "").lower() == "none":
         options["base_markers"] = None
     is_c3d = [Path(path).suffix.lower() == ".c3d" for path in paths]
-    if options and paths and not any(is_c3d):
+    if options and not any(is_c3d):
         names = ", ".join(f"--{name.replace('_', '-')}" for name in options)
         raise UsageError(f"{names}: for .c3d files only, and there is none; leave it out")
     recordings = []
@@ -219,9 +233,33 @@ def _recordings(args, paths, scene):
             mapping = beside
         own = options if c3d and mapping is None else {}
         recordings.append(load_recording(path, scene, mapping=mapping, **own))
-    for recording in recordings:
-        for assumption in recording.notes:
-            note(f"{recording.name}: {assumption}")
+    return recordings
+
+
+def _conditioned(recordings, conditions):
+    """The recordings with the conditions of the command line, a value for each of them."""
+    for text in conditions:
+        name, _, values = text.partition("=")
+        try:
+            numbers = [float(x) for x in values.split(",")]
+        except ValueError:
+            numbers = []
+        if len(numbers) != len(recordings):
+            raise UsageError(
+                f"--condition {text}: expected NAME= and {len(recordings)} "
+                f"number{'s'[: len(recordings) != 1]}, one for each recording"
+            )
+        recordings = [
+            replace(r, conditions={**r.conditions, name.strip(): value})
+            for r, value in zip(recordings, numbers, strict=True)
+        ]
+    return recordings
+
+
+def _cut(args, recordings):
+    """The parts of the recordings that --window and --split ask for."""
+    from calibration.windows import split
+
     if args.window is not None:
         recordings = [r.window(*args.window) for r in recordings]
     if args.split is not None:
