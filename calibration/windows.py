@@ -24,7 +24,9 @@ def split(recording: Recording, duration: float, lead: float) -> list[Recording]
 
     A lead of a few decay times of the rod does; it begins up to half a window earlier if the tip is
     quieter there, and the window's `notes` say so if it is not at rest at all. What is left at the
-    end joins the last window if it is shorter than half a window. Raises `ValueError` for bad durations and `RecordingError` for a
+    end joins the last window if it is shorter than half a window.
+
+    Raises `ValueError` for bad durations and `RecordingError` for a
     recording without inputs, which is one release and cannot be cut.
     """
     if not (np.isfinite(duration) and duration > 0 and np.isfinite(lead) and lead >= 0):
