@@ -24,7 +24,7 @@ _OFFSET = 0.5
 def held(
     scene: sr.Scene, duration: Float[Array, ""], dt: Float[Array, ""], steps: int
 ) -> tuple[sr.Scene, Float[Array, "steps 1"]]:
-    """The scene with the supporting tendon, and its tension [N] at the end of each step.
+    """The scene with the supporting tendon, and its tension [N] in each step.
 
     The scene has gravity and no tendons; the release begins at t = 0 and takes `duration` [s].
     """
@@ -40,8 +40,11 @@ def held(
     if scene.payload is not None:
         moment = moment + 2 / 3 * scene.payload.mass * size * L
     offset = _OFFSET * L
-    u = jnp.clip(dt * jnp.arange(1, steps + 1) / duration, 0.0, 1.0)
-    tension = moment / offset * (1 - u * u * (3 - 2 * u))
+    # The mean of the fading 1 - 3 u^2 + 2 u^3 over each step: its impulse is right, and changes
+    # with the duration, however short that is against the step.
+    u = jnp.clip(dt * jnp.arange(steps + 1) / duration, 0.0, 1.0)
+    impulse = duration * u * (1 - u * u * (1 - u / 2))
+    tension = moment / offset * jnp.diff(impulse) / dt
     hand = sr.Tendons((-offset * across / size)[None])
     supported = eqx.tree_at(lambda s: s.tendons, scene, hand, is_leaf=lambda x: x is None)
     return supported, tension[:, None]
