@@ -33,46 +33,31 @@ def test_white_noise_has_no_peak():
     assert _peak(rho, 100) == 1.0
 
 
-def verdicts(scene, names, recording):
-    fit = calibrate(scene, [recording], fit=names, **OPTIONS)
-    return {name: e.verdict for name, e in fit.parameters.items()}, fit
-
-
-def test_a_ratio_does_not_tell_its_parts():
-    # Without damping, only modulus over density moves the tip.
-    scene = beam(bending_damping=None)
-    found, fit = verdicts(scene, ("young_modulus", "density"), release(scene))
-    assert set(found.values()) == {"not identifiable"}
-    assert fit.correlation[0, 1] > 0.99
-
-
-def test_an_effect_that_is_not_there_is_bounded_from_above():
-    found, fit = verdicts(
-        beam(young_modulus=2.5e5, shear_damping=1.0), ("young_modulus", "shear_damping"),
-        release(beam()),
-    )  # fmt: skip
-    assert found == {"young_modulus": "identified", "shear_damping": "bounded above only"}
-    low, high = fit.parameters["shear_damping"].ci95
-    assert low is None and 0 < high < 1e3
-    low, high = fit.parameters["young_modulus"].ci95
-    assert low < TRUTH["young_modulus"] < high
-
-
-def test_a_place_on_the_bench_has_a_verdict_too():
-    recording = release(beam())
+def test_verdicts():
+    """What a release of an undamped beam tells of five parameters, and what it does not."""
+    names = ("young_modulus", "density", "shear_damping", "sensor_offset_y", "gravity_tilt_x")
+    recording = release(beam(bending_damping=0.0))
     shifted = recording.tip_positions + [0.0, 0.002, 0.0]
-    found, fit = verdicts(
-        beam(), ("young_modulus", "sensor_offset_y", "gravity_tilt_x"),
-        replace(recording, tip_positions=shifted),
-    )  # fmt: skip
-    # A marker aside of the axis is seen aside; gravity turned about itself is nothing.
-    assert found["sensor_offset_y"] == "identified"
+    scene = beam(young_modulus=2.7e5, bending_damping=0.0, shear_damping=1.0)
+    fit = calibrate(scene, [replace(recording, tip_positions=shifted)], fit=names, **OPTIONS)
+    # Without damping only modulus over density moves the tip: a ratio does not tell its parts.
+    assert not any(fit.parameters[name].identifiable for name in names[:2])
+    assert {name: fit.parameters[name].verdict for name in names[2:]} == {
+        # An effect that is not there is bounded from above.
+        "shear_damping": "bounded above only",
+        # A marker aside of the axis is seen aside.
+        "sensor_offset_y": "identified",
+        # Gravity that is turned about itself is the same.
+        "gravity_tilt_x": "not identifiable",
+    }
+    assert fit.correlation[0, 1] > 0.99
     assert fit.parameters["sensor_offset_y"].value == pytest.approx(0.002, abs=1e-4)
-    assert found["gravity_tilt_x"] == "not identifiable"
+    low, high = fit.parameters["shear_damping"].ci95
+    assert low is None and high > 0
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("correlation, count", [(0.0, 200), (0.6, 200)])
+@pytest.mark.parametrize("correlation, count", [(0.0, 200), (0.6, 80)])
 def test_coverage(correlation, count):
     """95 % intervals hold the truth in 90 to 98 % of synthetic recordings."""
     start = beam(young_modulus=2.8e5, bending_damping=7e-5)
