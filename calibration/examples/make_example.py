@@ -49,8 +49,9 @@ def main() -> None:
     # Logged values are rounded, and are what acts.
     times = np.arange(0, _DURATION + _INTERVAL / 2, _INTERVAL).round(6)
     tensions, pressures = (x.round(6) for x in inputs(times))
-    middles = _DT * (np.arange(round(_DURATION / _DT)) + 0.5)
-    resample = lambda x: np.stack([np.interp(middles, times, c) for c in x.T], axis=1)
+    # An input that varies is given at the end of each step.
+    ends = _DT * np.arange(1, round(_DURATION / _DT) + 1)
+    resample = lambda x: np.stack([np.interp(ends, times, c) for c in x.T], axis=1)
     motion = sr.simulate(
         truth,
         _DT,
