@@ -13,7 +13,8 @@ _HOME = {
     "detect_onset": "calibration.onset",
     "calibrate": "calibration.fit",
     "CalibrationError": "calibration.fit",
-    "Fit": "calibration.fit",
+    "Fit": "calibration.results",
+    "Estimate": "calibration.results",
     "write_report": "calibration.report",
 }
 

@@ -9,7 +9,7 @@ of the residuals include how they change.
 
 import equinox as eqx
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Float
 
 # Believed of the rotation beforehand: +- 2 degrees, weighed against residuals of 3 % of the
 # motion. It keeps rotations about the direction of the motion, of which little is seen, small.
@@ -30,17 +30,17 @@ class Alignment(eqx.Module):
 def align(
     moved: Float[Array, "samples 3"],
     missed: Float[Array, "samples 3"],
-    used: Bool[Array, "samples 3"],
+    weights: Float[Array, "samples 3"],
 ) -> Alignment:
-    """The alignment whose `of(moved)` is nearest to `missed` [m], where `used`."""
+    """The alignment whose `of(moved)` is nearest to `missed` [m], both weighted."""
     x, y, z = moved.T
     zero = jnp.zeros_like(x)
     # rotation x moved = turn @ rotation
     turn = jnp.stack([zero, z, -y, -z, zero, x, y, -x, zero], axis=-1).reshape(-1, 3, 3)
     size = jnp.sqrt(jnp.mean(moved**2) + 1e-18)
     columns = jnp.concatenate([jnp.broadcast_to(jnp.eye(3), turn.shape), turn / size], axis=-1)
-    columns = jnp.where(used[..., None], columns, 0.0).reshape(-1, 6)
+    columns = (weights[..., None] * columns).reshape(-1, 6)
     # An axis that was never measured has no offset.
     ridge = jnp.diag(jnp.array([1e-9] * 3 + [_RIDGE] * 3))
-    found = jnp.linalg.solve(columns.T @ columns + ridge, columns.T @ missed.ravel())
+    found = jnp.linalg.solve(columns.T @ columns + ridge, columns.T @ (weights * missed).ravel())
     return Alignment(found[:3], found[3:] / size)

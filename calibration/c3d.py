@@ -14,12 +14,10 @@ from pathlib import Path
 
 import numpy as np
 
-from calibration.onset import last_rest_sample
+from calibration.frames import axes_matrix, rest_samples, straight_tip
 from calibration.recording import Recording, RecordingError, check_reach
 
 _METRES = {"m": 1.0, "cm": 1e-2, "mm": 1e-3}
-# Fewer samples at rest than this do not tell where the rest is.
-_LEAST_REST = 5
 
 
 def read_c3d(
@@ -45,8 +43,8 @@ def read_c3d(
     """
     if scene is None:
         raise RecordingError(f"{path}: a C3D does not say where the clamp is: give the scene")
-    rotation = _axes(axes, path)
-    points, labels, unit, rate, promised = _read_points(path)
+    rotation = axes_matrix(axes, f"{path}: ")
+    points, labels, unit, rate, promised = read_points(path)
     tip_columns = _find(labels, tip_markers)
     if not tip_columns:
         raise RecordingError(
@@ -65,7 +63,7 @@ def read_c3d(
             "were seen with tip_markers and base_markers"
         )
     # The tip alone tells the rest: base markers move least and their noise would hide it.
-    rest = _rest(tip[known], path)
+    rest = rest_samples(tip[known], path)
     clamp_moved = clamp - np.median(clamp[known][:rest], axis=0)
     tip = tip - np.median(tip[known][:rest], axis=0) - clamp_moved
     notes = [
@@ -84,7 +82,7 @@ def read_c3d(
         times=np.arange(len(tip)) / rate,
         tensions=None,
         pressures=None,
-        tip_positions=tip + _straight_tip(scene),
+        tip_positions=tip + straight_tip(scene),
         name=Path(path).stem,
         source=str(path),
         origin_known=False,
@@ -94,7 +92,7 @@ def read_c3d(
     return recording
 
 
-def _read_points(path) -> tuple[np.ndarray, list[str], float, float, int]:
+def read_points(path) -> tuple[np.ndarray, list[str], float, float, int]:
     """Markers (frames, markers, 3), labels, unit [m], rate [Hz] and the frames promised.
 
     Markers are NaN where missing.
@@ -151,45 +149,3 @@ def _find(labels: list[str], beginnings: str) -> list[int]:
     """The labels that begin with one of `beginnings`; a subject's name before ':' is ignored."""
     wanted = tuple(b.strip().lower() for b in beginnings.split(",") if b.strip())
     return [j for j, x in enumerate(labels) if x.split(":")[-1].strip().lower().startswith(wanted)]
-
-
-def _axes(axes: str, path) -> np.ndarray:
-    """The matrix (3, 3) from the file's coordinates to the scene's."""
-    rows = np.zeros((3, 3))
-    names = [name.strip().lower() for name in axes.split(",")]
-    letters = [name.removeprefix("-").removeprefix("+") for name in names]
-    if sorted(letters) != ["x", "y", "z"]:
-        raise RecordingError(
-            f"{path}: axes = {axes!r}: expected x, y and z in any order, each with a sign if "
-            "reversed, such as -y,x,z"
-        )
-    for i, (name, letter) in enumerate(zip(names, letters, strict=True)):
-        rows[i, "xyz".index(letter)] = -1 if name.startswith("-") else 1
-    if np.linalg.det(rows) < 0:
-        raise RecordingError(
-            f"{path}: axes = {axes!r} mirrors the recording (a left-handed frame); reverse one "
-            "sign, or swap two axes"
-        )
-    return rows
-
-
-def _rest(tip: np.ndarray, path) -> int:
-    """How many samples at the beginning are at rest."""
-    last = last_rest_sample(tip)
-    rest = len(tip) if last is None else last + 1
-    if rest < _LEAST_REST:
-        raise RecordingError(
-            f"{path}: the tip moves from frame {rest} on, and at least {_LEAST_REST} frames at "
-            "rest, the rod held straight, must come first: they give the origin"
-        )
-    return rest
-
-
-def _straight_tip(scene) -> np.ndarray:
-    """The tip [m] of the straight rod, (3,)."""
-    from softrod_jax.rotations import to_base
-
-    tip = np.array([0.0, 0.0, float(scene.length)])
-    if scene.base_quaternion is not None:
-        tip = np.asarray(to_base(scene.base_quaternion, tip))
-    return tip if scene.base_position is None else tip + np.asarray(scene.base_position)

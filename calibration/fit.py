@@ -1,105 +1,34 @@
 """`calibrate`: from a scene and recordings to fitted numbers with intervals."""
 
 import time
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from os import PathLike
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
 import softrod_jax as sr
-from calibration import optimise, uncertainty
+from calibration import materials, optimise, robust, uncertainty
+from calibration.assemble import estimates, recording_fit
+from calibration.checkpoint import Checkpoint
+from calibration.checks import Refined, hold_out, refine
+from calibration.explain import explain as what_else
 from calibration.loss import Point, Problem
-from calibration.model import METHOD, SCHEME, Clock, make_batch, tip_at
-from calibration.parameters import PARAMETERS, choose
+from calibration.model import METHOD, SCHEME, make_batch
+from calibration.optimise import Outcome
+from calibration.parameters import catalogue
 from calibration.progress import Bar, Meter, Silent
 from calibration.recording import Recording
-from calibration.selection import Selection, select
+from calibration.results import Fit, RecordingFit, Start
+from calibration.scales import Factor
+from calibration.selection import select
+from calibration.unknowns import Unknowns, choose_unknowns
 
-
-@dataclass(frozen=True)
-class Estimate:
-    """One fitted parameter, in its unit; arrays (n,) where the scene's value is one.
-
-    - `ci95`: ends of the 95 % interval; None for a side on which the data set no bound.
-    - `identifiable`: whether the data bound it on both sides.
-    - `step_shift`: how far the value would move, relatively, with a time step twice as long;
-      None if that could not be simulated.
-    """
-
-    value: float | np.ndarray
-    ci95: tuple
-    initial: float | np.ndarray
-    unit: str
-    identifiable: bool
-    step_shift: float | None
-
-
-@dataclass(frozen=True, eq=False)
-class RecordingFit:
-    """One recording and its fit at the samples that were used (n,).
-
-    - `times` [s], the recording's clock; `measured` and `simulated` [m], (n, 3); NaN where a
-      coordinate is missing. The simulated tip is seen in the recording's frame.
-    - `curve_times` [s] and `curve` [m]: the simulated tip on a fine grid, for plots.
-    - `rmse` [m]: root mean square distance; `rmse_axes` [m], (3,).
-    - `time_offset` [s]: for a recording with inputs, how much later than its inputs the tip's
-      clock says they began; for a release, when it happened on the recording's clock.
-    - `time_offset_ci95` [s], None if it was not fitted.
-    - `tip_offset` [m] and `frame_rotation` [rad], (3,) each: how the recording's frame was moved
-      to fit (`calibration.alignment`); None if the recording knows where the clamp is.
-    """
-
-    name: str
-    recording: Recording
-    selection: Selection
-    times: np.ndarray
-    measured: np.ndarray
-    simulated: np.ndarray
-    curve_times: np.ndarray
-    curve: np.ndarray
-    rmse: float
-    rmse_axes: np.ndarray
-    time_offset: float
-    time_offset_ci95: tuple[float, float] | None
-    tip_offset: np.ndarray | None
-    frame_rotation: np.ndarray | None
-
-
-@dataclass(frozen=True, eq=False)
-class Fit:
-    """The outcome of `calibrate`.
-
-    - `scene`: the scene with the fitted values; `parameters`: an `Estimate` by name.
-    - `recordings`: a `RecordingFit` each. `rmse_m` [m] and `time_offset_s` [s], by name.
-    - `result`: "converged", or why the fit stopped.
-    - `history`: after each evaluation: stage, rms distance [m] and values by name.
-    - `correlation`, (parameters, parameters), in the order of `parameters`.
-    - `effective_samples`: how many independent coordinates the residuals are worth.
-    - `dt` [s]: the time step used, by recording. `seconds`: how long the fit took.
-    """
-
-    scene: sr.Scene
-    parameters: dict[str, Estimate]
-    recordings: tuple[RecordingFit, ...]
-    result: str
-    optimiser: str
-    iterations: int
-    evaluations: int
-    history: list[dict]
-    correlation: np.ndarray
-    effective_samples: float
-    dt: dict[str, float]
-    seconds: float
-
-    @property
-    def rmse_m(self) -> dict[str, float]:
-        return {r.name: r.rmse for r in self.recordings}
-
-    @property
-    def time_offset_s(self) -> dict[str, float]:
-        return {r.name: r.time_offset for r in self.recordings}
+# Half the width of the span from which the starts of a multi-start are drawn: one decade.
+_SPAN = np.log(10.0)
+_SPAN_OTHERS = 2.0
 
 
 class CalibrationError(ValueError):
@@ -111,28 +40,53 @@ def calibrate(
     recordings: Sequence[Recording],
     *,
     fit: Sequence[str] | None = None,
+    per_recording: Sequence[str] = (),
+    bounds: Mapping[str, tuple[float, float]] | None = None,
+    held_out: Sequence[Recording] = (),
     time_offset: bool = True,
     optimiser: str = "levenberg_marquardt",
+    loss: str = "squares",
+    starts: int = 1,
+    seed: int = 0,
+    profiles: Sequence[str] = (),
+    checks: bool = True,
+    explain: bool = False,
+    material: str | None = None,
     progress: bool = True,
     max_iterations: int | None = None,
     dt: float | None = None,
     window: tuple[float, float] | None = None,
+    checkpoint: str | PathLike | None = None,
+    resume: bool = False,
     scheme=SCHEME,
     method=METHOD,
 ) -> Fit:
-    """Fit numbers of `scene` so that its tip moves as recorded.
+    """Fit numbers of `scene`, and of the bench around it, so that its tip moves as recorded.
 
-    - `fit`: names out of `calibration.parameters.PARAMETERS`; by default those of
+    - `fit`: names out of `calibration.parameters.catalogue`; by default those of
       young_modulus, bending_damping and drag_coefficient that the scene has. The search starts
-      from their values in the scene.
+      from their values in the scene; everything else stays as it is.
+    - `per_recording`: those of them of which each recording has its own value.
+    - `bounds`: (low, high) by name, in the parameter's unit.
+    - `held_out`: recordings to predict with what was fitted; of them only the clock is.
     - `time_offset`: also fit, for each recording, when its inputs or its release really began.
-    - `optimiser`: "levenberg_marquardt" or "adam" (gradient descent).
+    - `optimiser`: "levenberg_marquardt", for a handful of parameters, or "adam" (gradient
+      descent).
+    - `loss`: "squares", or "huber" or "tukey", which outliers hardly move.
+    - `starts`: search from so many places, the scene's own and others drawn from one decade
+      around it on either side (with `seed`), and keep the best.
+    - `profiles`: parameters of which the profile likelihood is wanted.
+    - `checks`: simulate the result again with half the time step and with twice the grid.
+    - `explain`: tell what else, if it were fitted, would explain the residuals.
+    - `material`: compare the values with the published range of a material out of
+      `calibration.materials.MATERIALS`.
     - `progress`: show a bar on stderr.
-    - `max_iterations`: evaluations by the optimiser, after the coarse search.
+    - `max_iterations`: evaluations by the optimiser, of each start.
     - `dt` [s]: the time step; by default the sample interval, or the multiple or fraction of it
       that is nearest below 10 ms.
     - `window`: use the samples from start to end [s, the recordings' clocks]; by default
       the rule `calibration.selection.RULE`.
+    - `checkpoint`: a file in which the state is kept while the fit runs; `resume`: go on from it.
     - `scheme`, `method`: in time and along the rod, as for `softrod_jax.simulate`.
 
     A recording without inputs is a release: the rod is held straight until it is let go. One
@@ -144,64 +98,95 @@ def calibrate(
     """
     begun = time.perf_counter()
     scene = jax.tree.map(jnp.asarray, scene)
-    names = choose(scene, fit)
     recordings = [recordings] if isinstance(recordings, Recording) else list(recordings)
     if not recordings:
         raise ValueError("recordings: none given; at least one is needed")
-    if optimiser not in optimise.OPTIMISERS:
-        choices = ", ".join(optimise.OPTIMISERS)
-        raise ValueError(f"optimiser={optimiser!r}: choose from {choices}")
+    held_out = [held_out] if isinstance(held_out, Recording) else list(held_out)
+    _check_choice("optimiser", optimiser, optimise.OPTIMISERS)
+    _check_choice("loss", loss, robust.LOSSES)
+    if material is not None:
+        _check_choice("material", material, materials.MATERIALS)
     _, usual = optimise.OPTIMISERS[optimiser]
     max_iterations = usual if max_iterations is None else int(max_iterations)
-    if max_iterations < 1:
-        raise ValueError(f"max_iterations={max_iterations}: at least 1 is needed")
+    for name, value in (("max_iterations", max_iterations), ("starts", starts)):
+        if value < 1:
+            raise ValueError(f"{name}={value}: at least 1 is needed")
+    labels = _labels([*recordings, *held_out])
+    setup, unknowns = choose_unknowns(scene, recordings, labels, fit, per_recording, bounds or {})
+    profiled = _indices(unknowns, profiles)
 
     selections = [select(r, window) for r in recordings]
-    batch, clocks = make_batch(scene, recordings, selections, time_offset, dt)
-    problem = Problem(scene, batch, clocks, names, time_offset, scheme, method)
+    known_parameters, _ = catalogue(setup.scene)
+    defaults = {name: p.get(setup) for name, p in known_parameters.items()}
+    batch, clocks = make_batch(scene, recordings, selections, time_offset, dt, defaults)
+    problem = Problem(setup, batch, clocks, unknowns, time_offset, scheme, method)
+    saved = Checkpoint(checkpoint, problem, resume, (optimiser, loss, starts, seed))
     with Bar() if progress else Silent() as meter:
-        log = _Log(meter)
-        try:
-            outcome = optimise.minimise(problem, optimiser, max_iterations, log.add, log.stage)
-        except KeyboardInterrupt:
-            if log.best is None:
-                raise
-            outcome = optimise.Outcome(log.best, "interrupted", len(log.history))
-        best = outcome.best
-        if not best.ok:
+        log = _Log(meter, saved)
+        outcome, ends = _search(problem, optimiser, max_iterations, starts, seed, log)
+        if not outcome.best.ok:
             raise CalibrationError(
                 "the scene cannot be simulated, neither at its own values nor at others nearby: "
-                f"{sr.result_message(best.result)}"
+                f"{sr.result_message(outcome.best.result)}"
             )
+        outcome = _reweighted(outcome, loss, max_iterations, log)
+        best = outcome.best
         log.stage("intervals", None)
         known = uncertainty.estimate(best, log.add)
-        shift = _step_shift(problem, best, known, recordings, selections)
-    labels = _labels(recordings)
-    n = len(names)
+        if profiled:
+            log.stage("profiles", None)
+        curves = {
+            unknowns.items[i].label: uncertainty.profile(best, known, i, log.add)
+            for i in profiled
+        }
+        finer = Refined(None, None, None)
+        if checks:
+            log.stage("checks", None)
+            half = _half_step(problem, recordings, selections, defaults)
+            finer = refine(best, known, half)
+        explanations = None
+        if explain:
+            log.stage("what else", None)
+            explanations = tuple(
+                what_else(best, recordings, labels, per_recording, bounds or {})
+            )
+        others = _held_out(best, held_out, labels[len(recordings) :], window, dt, defaults)
+    if outcome.result != "interrupted":
+        saved.remove()
+    n = problem.size
     return Fit(
-        scene=problem.fitted_scene(best.x),
-        parameters=_estimates(problem, best, known, shift),
+        scene=problem.fitted_setup(best.x).scene,
+        setup=problem.fitted_setup(best.x),
+        parameters=estimates(problem, best, known, finer, labels),
         recordings=tuple(
-            _recording_fit(best, known, k, label, recordings[k], selections[k])
-            for k, label in enumerate(labels)
+            recording_fit(best, k, label, r, s, known, finer.motions)
+            for k, (label, r, s) in enumerate(zip(labels, recordings, selections, strict=False))
         ),
+        held_out=others,
         result=outcome.result,
         optimiser=optimiser,
+        loss=loss,
         iterations=outcome.iterations,
         evaluations=len(log.history),
         history=log.history,
         correlation=known.correlation[:n, :n],
+        samples=known.samples,
         effective_samples=known.effective_samples,
-        dt=dict(zip(labels, (c.dt for c in clocks), strict=True)),
+        profiles=curves,
+        starts=ends,
+        explanations=explanations,
+        material=material,
+        dt=dict(zip(labels, (c.dt for c in clocks), strict=False)),
         seconds=time.perf_counter() - begun,
     )
 
 
 class _Log:
-    """Every evaluation of a fit: for the meter, the history and, if interrupted, the best."""
+    """Every evaluation of a fit: for the meter, the checkpoint, the history, and the best."""
 
-    def __init__(self, meter: Meter):
-        self.meter, self.history, self.best, self.title = meter, [], None, ""
+    def __init__(self, meter: Meter, saved: Checkpoint):
+        self.meter, self.saved, self.history, self.title = meter, saved, [], ""
+        self.best = None
 
     def stage(self, title: str, total: int | None) -> None:
         self.title = title
@@ -211,103 +196,133 @@ class _Log:
         values = {name: v.tolist() for name, v in point.problem.values(point.x).items()}
         rms = point.rms if point.ok else None
         self.history.append({"stage": self.title, "rms_m": rms, **values})
-        if point.ok and (self.best is None or point.loss < self.best.loss):
-            self.best = point
         self.meter.show(point)
 
+    def search(self, point: Point) -> None:
+        """An evaluation of the search itself, whose best is kept."""
+        self.add(point)
+        self.saved.point(point)
+        if point.ok and (self.best is None or point.loss < self.best.loss):
+            self.best = point
 
-def _step_shift(problem, best, known, recordings, selections):
-    """Change of x if the time step were doubled; NaN if that cannot be simulated.
 
-    The same compiled program serves: it has steps enough.
-    """
-    dts = {c.dt for c in problem.clocks}
-    coarse, _ = make_batch(
-        problem.scene,
-        recordings,
-        selections,
-        problem.time_offset,
-        2 * max(dts),
-        steps=problem.batch.steps,
+def _check_choice(name: str, value, choices) -> None:
+    if value not in choices:
+        raise ValueError(f"{name}={value!r}: choose from {', '.join(choices)}")
+
+
+def _indices(unknowns: Unknowns, names: Sequence[str]) -> list[int]:
+    """The unknowns of the parameters or labels `names`."""
+    names = (names,) if isinstance(names, str) else tuple(names)
+    found = []
+    for name in names:
+        matching = [
+            i for i, u in enumerate(unknowns.items) if name in (u.label, u.parameter.name)
+        ]
+        if not matching:
+            raise ValueError(f"profiles: {name!r} is not fitted; add it to fit, or leave it out")
+        found += matching
+    return found
+
+
+def _search(problem, optimiser, max_iterations, starts, seed, log) -> tuple[Outcome, tuple]:
+    """The best outcome of all starts, and how each of them ended, the best first."""
+    random = np.random.default_rng(seed)
+    low, high = (b[: problem.size] for b in problem.bounds)
+    spans = [
+        _SPAN if isinstance(u.parameter.scale, Factor) else _SPAN_OTHERS
+        for u in problem.unknowns.items
+    ]
+    outcomes, begun, interrupted = [], [], False
+    for k in range(starts):
+        x = problem.start()
+        if k:
+            x[: problem.size] = np.clip(random.uniform(-1, 1, problem.size) * spans, low, high)
+        begun.append(x)
+        if k < len(log.saved.done):
+            done = log.saved.done[k]
+            outcomes.append(Outcome(problem.at(np.array(done["x"])), done["result"], 0))
+            continue
+        if k == len(log.saved.done) and log.saved.x is not None:
+            x = log.saved.x
+        number = f" {k + 1} of {starts}" if starts > 1 else ""
+        stage = lambda title, total, number=number: log.stage(title + number, total)
+        log.best = None
+        try:
+            outcome = optimise.minimise(problem, optimiser, max_iterations, log.search, stage, x)
+        except KeyboardInterrupt:
+            if log.best is None and not outcomes:
+                raise
+            interrupted = True
+            if log.best is not None:
+                outcomes.append(Outcome(log.best, "interrupted", 0))
+            break
+        outcomes.append(outcome)
+        if outcome.best.ok:
+            log.saved.finish(outcome.best.x, outcome.best.loss, outcome.result)
+    order = sorted(
+        range(len(outcomes)), key=lambda k: outcomes[k].best.loss if outcomes[k].best.ok else np.inf
     )
-    other = problem.at(best.x, coarse)
-    if not other.ok:
-        return np.full_like(best.x, np.nan)
-    return known.shift(best, other.residuals - best.residuals)
+    plain = lambda x: {k: float(np.max(v)) for k, v in problem.values(x).items()}
+    ends = tuple(
+        Start(plain(begun[k]), plain(b.x), b.rms if b.ok else np.inf, outcomes[k].result)
+        for k in order
+        for b in [outcomes[k].best]
+    )
+    best = outcomes[order[0]]
+    return (replace(best, result="interrupted") if interrupted else best), ends
 
 
-def _estimates(problem: Problem, best: Point, known, shift) -> dict[str, Estimate]:
-    out = {}
-    for i, name in enumerate(problem.names):
-        parameter = PARAMETERS[name]
-        initial = parameter.find(problem.scene)
+def _reweighted(outcome: Outcome, loss: str, max_iterations: int, log) -> Outcome:
+    """The outcome with outliers taken out; the same for "squares"."""
+    if loss == "squares":
+        return outcome
+    point, iterations = outcome.best, outcome.iterations
+    log.stage(f"{loss} weights", None)
+    for k in range(robust.ROUNDS):
+        weights = robust.weights(point, loss, k)
+        if robust.settled(point.problem.weights, weights):
+            break
+        problem = point.problem.weighted(weights)
+        point = replace(point, problem=problem)
+        done = optimise.levenberg_marquardt(problem, point, max_iterations, log.add)
+        point, iterations = done.best, iterations + done.iterations
+    return Outcome(point, outcome.result, iterations)
 
-        def at(theta, parameter=parameter, initial=initial):
-            return _plain(parameter.value(initial, theta)) if np.isfinite(theta) else None
 
-        value = parameter.value(initial, best.x[i])
-        moved = parameter.value(initial, best.x[i] + shift[i])
-        out[name] = Estimate(
-            value=_plain(value),
-            ci95=(at(known.low[i]), at(known.high[i])),
-            initial=_plain(initial),
-            unit=parameter.unit,
-            identifiable=bool(known.identifiable[i]),
-            step_shift=_relative(moved, value),
+def _half_step(problem, recordings, selections, defaults):
+    """The batch with half the time step."""
+    half = [c.dt / 2 for c in problem.clocks]
+    return make_batch(
+        problem.scene, recordings, selections, problem.time_offset, half, defaults
+    )[0]
+
+
+def _held_out(best: Point, recordings, labels, window, dt, defaults) -> tuple[RecordingFit, ...]:
+    """Predictions of `recordings`, through the program of the fit: as many at a time."""
+    found, many = [], len(best.problem.clocks)
+    for first in range(0, len(recordings), many):
+        some = recordings[first : first + many]
+        selections = [select(r, window) for r in some]
+        fill = many - len(some)
+        problem = best.problem
+        batch, clocks = make_batch(
+            problem.scene,
+            some + some[-1:] * fill,
+            selections + selections[-1:] * fill,
+            problem.time_offset,
+            dt,
+            defaults,
+            steps=problem.batch.steps,
+            samples=problem.batch.times.shape[1],
         )
-    return out
-
-
-def _relative(moved, value) -> float | None:
-    """(moved - value) / value, the same for all parts of a vector; None if it is not a number."""
-    largest = np.argmax(np.abs(np.ravel(value)))
-    change = float(np.ravel(moved)[largest] / np.ravel(value)[largest] - 1)
-    return change if np.isfinite(change) else None
-
-
-def _plain(value):
-    value = np.asarray(value)
-    return float(value) if value.ndim == 0 else value
-
-
-def _recording_fit(best: Point, known, k, label, recording, selection) -> RecordingFit:
-    problem, evaluation = best.problem, best.evaluation
-    clock: Clock = problem.clocks[k]
-    kept = (recording.times >= selection.start) & (recording.times <= selection.end)
-    times, measured = recording.times[kept], recording.tip_positions[kept]
-    residuals = np.where(np.isfinite(measured), evaluation.residuals[k, : len(times)], np.nan)
-    squares = np.nansum(residuals**2, axis=1)
-    any_axis = np.any(np.isfinite(measured), axis=1)
-    delay = problem.delays(best.x)[k]
-    motion = jax.tree.map(lambda x: x[k], evaluation.motion)
-    curve_times = np.linspace(times[0], times[-1], 4 * len(times))
-    alignment = jax.tree.map(lambda x: x[k], evaluation.alignment)
-    simulate_at = jnp.asarray(curve_times - clock.origin - delay)
-    curve = tip_at(motion, clock.dt, simulate_at)
-    curve = np.asarray(curve + alignment.of(curve - motion.positions[0]))
-    at = clock.origin - clock.zero + delay
-    ci95 = None
-    if problem.time_offset:
-        error = known.standard_errors[len(problem.names) + k] * clock.interval
-        ci95 = (at - 1.959964 * error, at + 1.959964 * error)
-    with np.errstate(invalid="ignore"):
-        axes = np.sqrt(np.nansum(residuals**2, axis=0) / np.sum(np.isfinite(residuals), axis=0))
-    return RecordingFit(
-        name=label,
-        recording=recording,
-        selection=selection,
-        times=times,
-        measured=measured,
-        simulated=measured + residuals,
-        curve_times=curve_times,
-        curve=curve,
-        rmse=float(np.sqrt(np.sum(squares) / np.sum(any_axis))),
-        rmse_axes=axes,
-        time_offset=at,
-        time_offset_ci95=ci95,
-        tip_offset=None if recording.origin_known else np.asarray(alignment.offset),
-        frame_rotation=None if recording.origin_known else np.asarray(alignment.rotation),
-    )
+        unknowns = problem.unknowns.shared(many)
+        point = hold_out(replace(problem, batch=batch, clocks=clocks, unknowns=unknowns), best)
+        found += [
+            recording_fit(point, k, labels[first + k], r, s)
+            for k, (r, s) in enumerate(zip(some, selections, strict=True))
+        ]
+    return tuple(found)
 
 
 def _labels(recordings) -> list[str]:

@@ -6,7 +6,7 @@ is compiled once. Reverse mode would cost a second program of twice the compile 
 nothing for a handful of parameters.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache, cached_property
 
 import equinox as eqx
@@ -19,7 +19,9 @@ import softrod_jax as sr
 from calibration.alignment import Alignment, align
 from calibration.compiling import compiler_options
 from calibration.model import Batch, Clock, Motion, simulate_motion, tip_at
-from calibration.parameters import PARAMETERS, with_values
+from calibration.parameters import with_values
+from calibration.setup import Setup
+from calibration.unknowns import Unknowns, conditioned
 
 # A residual of a simulation that failed, in rod lengths: worse than any motion of the rod.
 _FAILED = 10.0
@@ -42,12 +44,12 @@ class Evaluation(eqx.Module):
     motion: Motion
 
 
-def evaluate(scene, batch: Batch, theta, delays, names, scheme, method) -> Evaluation:
-    """Residuals at `theta`, (parameters,), and `delays` [s], (recordings,).
+def evaluate(setup, batch: Batch, theta, delays, names, scheme, method) -> Evaluation:
+    """Residuals at `theta`, (recordings, names), and `delays` [s], (recordings,).
 
     A simulation that fails has residuals of ten rod lengths, whose sensitivities are zero.
     """
-    return _compiled()(scene, batch, theta, delays, names, scheme, method)
+    return _compiled()(setup, batch, theta, delays, names, scheme, method)
 
 
 @cache
@@ -56,17 +58,17 @@ def _compiled():
     return jax.jit(_evaluate, static_argnames=static, compiler_options=compiler_options())
 
 
-def _evaluate(scene, batch, theta, delays, names, scheme, method):
+def _evaluate(setup, batch, theta, delays, names, scheme, method):
     def one(inputs):
-        recording, delay = inputs
+        recording, theta, delay = inputs
+        own = conditioned(setup, recording.conditions)
 
         def by_theta(theta):
-            moved = with_values(scene, names, theta)
-            motion = simulate_motion(moved, recording, scheme, method)
+            motion = simulate_motion(with_values(own, names, theta), recording, scheme, method)
             return residual(motion, delay)[0], motion
 
         def residual(motion, delay):
-            return _residual(motion, recording, delay, scene.length)
+            return _residual(motion, recording, delay, setup.scene.length)
 
         by_parameter, motion = jax.jacfwd(by_theta, has_aux=True)(theta)
         by_delay = jax.jacfwd(lambda d: residual(motion, d)[0])(delay)
@@ -75,8 +77,29 @@ def _evaluate(scene, batch, theta, delays, names, scheme, method):
 
     # Batched small matrices gain nothing on a CPU, and each step would wait for the slowest.
     if jax.default_backend() == "cpu":
-        return jax.lax.map(one, (batch, delays))
-    return jax.vmap(one)((batch, delays))
+        return jax.lax.map(one, (batch, theta, delays))
+    return jax.vmap(one)((batch, theta, delays))
+
+
+@cache
+def _compiled_prediction():
+    static = ("names", "scheme", "method")
+    return jax.jit(_predict, static_argnames=static, compiler_options=compiler_options())
+
+
+def predict(setup, batch: Batch, theta, delays, names, scheme, method):
+    """Like `evaluate`, without sensitivities: residuals and motions of every recording."""
+    return _compiled_prediction()(setup, batch, theta, delays, names, scheme, method)
+
+
+def _predict(setup, batch, theta, delays, names, scheme, method):
+    def one(inputs):
+        recording, theta, delay = inputs
+        own = with_values(conditioned(setup, recording.conditions), names, theta)
+        motion = simulate_motion(own, recording, scheme, method)
+        return _residual(motion, recording, delay, setup.scene.length)[0], motion
+
+    return jax.lax.map(one, (batch, theta, delays))
 
 
 def _residual(motion: Motion, recording: Batch, delay, length):
@@ -85,7 +108,7 @@ def _residual(motion: Motion, recording: Batch, delay, length):
     tip = tip_at(motion, recording.dt, recording.times - delay)
     missed = jnp.where(used & ok, recording.tip - tip, 0.0)
     moved = jnp.where(ok, tip - motion.positions[0], 0.0)
-    alignment = align(moved, missed, used)
+    alignment = align(moved, missed, recording.weights)
     free = recording.free_frame
     alignment = jax.tree.map(lambda x: jnp.where(free, x, 0.0), alignment)
     r = jnp.where(ok, alignment.of(moved) - missed, _FAILED * length)
@@ -97,7 +120,8 @@ def losses_by_delay(motion: Motion, batch: Batch, delays, length):
     """Sums of squares [m^2] at `delays` [s], (recordings, tries): (recordings, tries)."""
 
     def one(motion, recording, delay):
-        return jnp.sum(_residual(motion, recording, delay, length)[0] ** 2)
+        residual = _residual(motion, recording, delay, length)[0]
+        return jnp.sum((recording.weights * residual) ** 2)
 
     return jax.vmap(jax.vmap(one, in_axes=(None, None, 0)), in_axes=(0, 0, 0))(
         motion, batch, delays
@@ -118,25 +142,25 @@ class Point:
 
     @cached_property
     def residuals(self) -> np.ndarray:
-        """(recordings * samples * 3,) [m]."""
-        return np.asarray(self.evaluation.residuals).ravel()
+        """Weighted, (recordings * samples * 3,) [m]."""
+        return (self.problem.weights * self.evaluation.residuals).ravel()
 
     @cached_property
     def jacobian(self) -> np.ndarray:
-        """(recordings * samples * 3, unknowns) [m]."""
-        by_parameter = np.asarray(self.evaluation.by_parameter)
-        columns = [by_parameter.reshape(-1, by_parameter.shape[-1])]
-        if self.problem.time_offset:
-            by_delay = np.asarray(self.evaluation.by_delay)
-            for i, clock in enumerate(self.problem.clocks):
-                column = np.zeros_like(by_delay)
-                column[i] = by_delay[i] * clock.interval
-                columns.append(column.reshape(-1, 1))
-        return np.concatenate(columns, axis=1)
+        """Of the weighted residuals, (recordings * samples * 3, unknowns) [m]."""
+        problem, unknowns = self.problem, self.problem.unknowns
+        weights = problem.weights
+        J = np.zeros((*weights.shape, self.x.size))
+        for k, j in np.argwhere(unknowns.columns >= 0):
+            J[k, ..., unknowns.columns[k, j]] += self.evaluation.by_parameter[k, ..., j]
+        if problem.time_offset:
+            for k, clock in enumerate(problem.clocks):
+                J[k, ..., problem.size + k] = self.evaluation.by_delay[k] * clock.interval
+        return (weights[..., None] * J).reshape(-1, self.x.size)
 
     @cached_property
     def loss(self) -> float:
-        """Sum of squared residuals [m^2]."""
+        """Sum of squared weighted residuals [m^2]."""
         return float(np.sum(self.residuals**2))
 
     @property
@@ -155,70 +179,92 @@ class Point:
 
 @dataclass(frozen=True, eq=False)
 class Problem:
-    """Scene, recordings and what is fitted: from numbers to an evaluated `Point`."""
+    """Setup, recordings and what is fitted: from numbers to an evaluated `Point`."""
 
-    scene: sr.Scene
+    setup: Setup
     batch: Batch
     clocks: list[Clock]
-    names: tuple[str, ...]
+    unknowns: Unknowns
     time_offset: bool
     scheme: sr.SDIRK | sr.BDFAlpha
     method: sr.Collocation
 
+    @property
+    def scene(self) -> sr.Scene:
+        return self.setup.scene
+
+    @property
+    def size(self) -> int:
+        """How many parameters are fitted; the delays come after them in x."""
+        return len(self.unknowns.items)
+
     @cached_property
     def bounds(self) -> tuple[np.ndarray, np.ndarray]:
         """Lowest and highest x."""
-        reach = [PARAMETERS[name].largest_theta for name in self.names]
-        low, high = [-r for r in reach], list(reach)
+        low, high = ([getattr(u, k) for u in self.unknowns.items] for k in ("low", "high"))
         if self.time_offset:
             low += [c.low / c.interval for c in self.clocks]
             high += [c.high / c.interval for c in self.clocks]
         return np.array(low), np.array(high)
 
     @cached_property
-    def samples(self) -> int:
-        """Samples with at least one coordinate of the tip."""
-        return int(np.sum(np.any(np.asarray(self.batch.used), axis=-1)))
+    def weights(self) -> np.ndarray:
+        """(recordings, samples, 3)."""
+        return np.asarray(self.batch.weights)
+
+    @cached_property
+    def samples(self) -> float:
+        """Samples with at least one coordinate of the tip, each counting by its weight."""
+        return float(np.sum(np.max(self.weights**2, axis=-1)))
 
     @cached_property
     def motion_rms(self) -> float:
         """Root mean square distance of the measured tips from their mean [m]."""
-        tip = np.where(self.batch.used, self.batch.tip, np.nan)
-        about = tip - np.nanmean(tip, axis=1, keepdims=True)
-        return float(np.sqrt(np.nansum(about**2) / self.samples))
+        w = self.weights**2
+        mean = np.sum(w * self.batch.tip, axis=1) / np.maximum(np.sum(w, axis=1), 1e-12)
+        about = np.asarray(self.batch.tip) - mean[:, None]
+        return float(np.sqrt(np.sum(w * about**2) / self.samples))
+
+    def weighted(self, weights: np.ndarray) -> "Problem":
+        """The same problem with other weights, (recordings, samples, 3)."""
+        batch = eqx.tree_at(lambda b: b.weights, self.batch, jnp.asarray(weights))
+        return replace(self, batch=batch)
 
     def start(self) -> np.ndarray:
-        """x at the scene's own values and the first guess of the clocks."""
-        return np.zeros(len(self.names) + len(self.clocks) * self.time_offset)
+        """x at the setup's own values and the first guess of the clocks."""
+        return np.zeros(self.size + len(self.clocks) * self.time_offset)
 
     def delays(self, x) -> np.ndarray:
         """Delays [s], (recordings,)."""
         if not self.time_offset:
             return np.zeros(len(self.clocks))
-        return x[len(self.names) :] * np.array([c.interval for c in self.clocks])
+        return x[self.size :] * np.array([c.interval for c in self.clocks])
 
     def at(self, x, batch: Batch | None = None) -> Point:
         """Evaluate at `x`, cut to the bounds."""
         x = np.clip(x, *self.bounds)
-        batch = self.batch if batch is None else batch
         evaluation = evaluate(
-            self.scene,
-            batch,
-            jnp.asarray(x[: len(self.names)]),
+            self.setup,
+            self.batch if batch is None else batch,
+            jnp.asarray(self.unknowns.theta(x)),
             jnp.asarray(self.delays(x)),
-            self.names,
+            self.unknowns.names,
             self.scheme,
             self.method,
         )
         return Point(x, jax.device_get(evaluation), self)
 
     def values(self, x) -> dict[str, np.ndarray]:
-        """The parameters' values at `x`, by name."""
-        out = {}
-        for name, theta in zip(self.names, x, strict=False):
-            parameter = PARAMETERS[name]
-            out[name] = np.asarray(parameter.value(parameter.find(self.scene), theta))
-        return out
+        """The parameters' values at `x`, by label."""
+        return {u.label: u.value(t) for u, t in zip(self.unknowns.items, x, strict=False)}
 
-    def fitted_scene(self, x) -> sr.Scene:
-        return with_values(self.scene, self.names, jnp.asarray(x[: len(self.names)]))
+    def fitted_setup(self, x, recording: int | None = None) -> Setup:
+        """The setup at `x`: of one recording, or with what all recordings share."""
+        setup = self.setup
+        if recording is not None:
+            own = {name: v[recording] for name, v in self.batch.conditions.items()}
+            setup = conditioned(setup, own)
+        for u, theta in zip(self.unknowns.items, x, strict=False):
+            if u.recording is None or u.recording == recording:
+                setup = u.parameter.put(setup, jnp.asarray(u.value(theta)))
+        return setup

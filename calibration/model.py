@@ -6,6 +6,7 @@ interpolated in time, so that it is a smooth function of the delay.
 """
 
 import math
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import equinox as eqx
@@ -15,15 +16,19 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 import softrod_jax as sr
+from calibration.frames import straight_tip
 from calibration.onset import detect_onset
 from calibration.recording import Recording, RecordingError
-from calibration.selection import Selection, input_onset
+from calibration.release import held
+from calibration.selection import Selection, input_onset, kept
+from calibration.setup import Setup, rotated
 
 # The scheme and grid of fits. An order 4 in time at 10 ms shifts the modulus of a 100 mm silicone
 # beam ringing at 8 Hz by 0.01 %; BDF-alpha at 5 ms costs more and shifts it by 0.8 %, and the
 # damping by 4 %.
 SCHEME = sr.SDIRK(order=4)
-METHOD = sr.Collocation(intervals=6, order=6)
+METHOD = sr.Collocation(intervals=4, order=6)
+NEWTON = sr.NewtonOptions(tolerance=1e-7)
 LARGEST_DT = 0.01
 _PADDING = 16
 # A delay is sought this far around its first guess: so many samples, or seconds if that is more.
@@ -41,7 +46,10 @@ class Batch(eqx.Module):
     - `times` [s], (recordings, samples), from the origin; `tip` [m], (recordings, samples, 3),
       zero where it is not `used`.
     - `hanging`: the rod starts in equilibrium under the first inputs, not straight.
+    - `weights`, like `tip`: of each residual in the sum of squares, as a factor of the residual;
+      0 where not `used`.
     - `free_frame`: the recording does not know where the clamp is, nor its axes quite.
+    - `conditions`: values in which recordings differ from the setup, by name, (recordings,).
     """
 
     dt: Float[Array, "recordings"]
@@ -50,8 +58,10 @@ class Batch(eqx.Module):
     times: Float[Array, "recordings samples"]
     tip: Float[Array, "recordings samples 3"]
     used: Bool[Array, "recordings samples 3"]
+    weights: Float[Array, "recordings samples 3"]
     hanging: Bool[Array, "recordings"]
     free_frame: Bool[Array, "recordings"]
+    conditions: dict[str, Float[Array, "recordings"]]
     steps: int = eqx.field(static=True)
     any_hanging: bool = eqx.field(static=True)
 
@@ -73,16 +83,21 @@ class Clock:
 
 
 class Motion(eqx.Module):
-    """The simulated tip of one recording on the grid of time steps, (steps + 1, 3) each."""
+    """The simulated marker of one recording on the grid of time steps, (steps + 1, 3) each.
+
+    `shapes`: the rod, (steps + 1, outputs, 3).
+    """
 
     positions: Float[Array, "rows 3"]
     velocities: Float[Array, "rows 3"]
+    shapes: Float[Array, "rows outputs 3"]
     result: Int[Array, ""]
 
 
-def simulate_motion(scene: sr.Scene, batch: Batch, scheme, method) -> Motion:
+def simulate_motion(setup: Setup, batch: Batch, scheme, method) -> Motion:
     """The motion of one recording of the batch (its arrays without the leading axis)."""
-    tensions, pressures = batch.tensions, batch.pressures
+    scene = setup.simulated_scene()
+    tensions, pressures = setup.arriving(batch.tensions), batch.pressures
     initial, start_result = None, jnp.zeros((), jnp.int32)
     if batch.any_hanging:
         first = [None if x is None else x[0] for x in (tensions, pressures)]
@@ -90,20 +105,30 @@ def simulate_motion(scene: sr.Scene, batch: Batch, scheme, method) -> Motion:
         start_result = jnp.where(batch.hanging, initial.result, 0)
         strain = jnp.where(batch.hanging, initial.point_strains, _rest_strain(scene))
         initial = eqx.tree_at(lambda i: i.point_strains, initial, strain)
-    rest = lambda x: None if x is None else x[1:]
+    after_start = lambda x: None if x is None else x[1:]
+    tensions, pressures = after_start(tensions), after_start(pressures)
+    if setup.release_duration is not None and tensions is None and pressures is None:
+        scene, tensions = held(scene, setup.release_duration, batch.dt, batch.steps)
     trajectory = sr.simulate(
         scene,
         batch.dt,
-        rest(tensions),
-        rest(pressures),
+        tensions,
+        pressures,
         steps=batch.steps,
         initial=initial,
         scheme=scheme,
         method=method,
+        newton=NEWTON,
         throw=False,
     )
     result = jnp.where(start_result != 0, start_result, trajectory.result)
-    return Motion(trajectory.tip_positions, trajectory.tip_velocities, result)
+    positions, velocities = trajectory.tip_positions, trajectory.tip_velocities
+    if setup.sensor_offset is not None:
+        attitude = trajectory.quaternions[:, -1]
+        turning = jnp.cross(trajectory.velocities[:, -1, 3:], setup.sensor_offset)
+        positions = positions + rotated(attitude, setup.sensor_offset)
+        velocities = velocities + rotated(attitude, turning)
+    return Motion(positions, velocities, trajectory.positions, result)
 
 
 def _rest_strain(scene):
@@ -133,30 +158,34 @@ def make_batch(
     recordings: list[Recording],
     selections: list[Selection],
     time_offset: bool,
-    dt: float | None,
-    steps: int | None = None,
+    dt: float | Sequence[float] | None,
+    defaults: Mapping[str, float],
+    steps: int = 0,
+    samples: int = 0,
 ) -> tuple[Batch, list[Clock]]:
-    """The recordings as arrays, and their clocks; `steps` to have as many as another batch.
+    """The recordings as arrays, and their clocks; `steps` and `samples`: the least
+    number of them, so that the batch runs through a program compiled for another.
+
+    `dt` [s], of all or of each; None chooses. `defaults`: values of those conditions that some
+    recordings give and others do not.
 
     Raises `RecordingError` if a release cannot be seen in a recording and `time_offset` is
     asked for, or if inputs do not fit the scene; `ValueError` for a bad `dt`.
     """
     for recording in recordings:
         _check_inputs(scene, recording)
-    clocks = [_clock(scene, r, time_offset, dt) for r in recordings]
+    each = dt if isinstance(dt, Sequence) else [dt] * len(recordings)
+    clocks = [_clock(scene, r, time_offset, d) for r, d in zip(recordings, each, strict=True)]
     needed = max(
         math.ceil((s.end - c.origin - c.low) / c.dt - 1e-9)
         for s, c in zip(selections, clocks, strict=True)
     )
-    steps = _padded(needed) if steps is None else steps
-    kept = [
-        (r.times >= s.start) & (r.times <= s.end)
-        for r, s in zip(recordings, selections, strict=True)
-    ]
-    shape = (len(recordings), _padded(max(int(np.sum(k)) for k in kept)))
+    steps = max(_padded(needed), steps)
+    chosen = [kept(r, s) for r, s in zip(recordings, selections, strict=True)]
+    shape = (len(recordings), max(samples, _padded(max(int(np.sum(k)) for k in chosen))))
     times, tip = np.zeros(shape), np.zeros((*shape, 3))
     used = np.zeros((*shape, 3), dtype=bool)
-    for i, (r, c, k) in enumerate(zip(recordings, clocks, kept, strict=True)):
+    for i, (r, c, k) in enumerate(zip(recordings, clocks, chosen, strict=True)):
         n = int(np.sum(k))
         measured = r.tip_positions[k]
         times[i, :n] = r.times[k] - c.origin
@@ -167,6 +196,11 @@ def make_batch(
         _inputs([getattr(r, name) for r in recordings], recordings, clocks, steps)
         for name in ("tensions", "pressures")
     )
+    differing = {name for r in recordings for name in r.conditions}
+    conditions = {
+        name: jnp.array([float(r.conditions.get(name, defaults[name])) for r in recordings])
+        for name in sorted(differing)
+    }
     batch = Batch(
         dt=jnp.array([c.dt for c in clocks]),
         tensions=tensions,
@@ -174,8 +208,10 @@ def make_batch(
         times=jnp.array(times),
         tip=jnp.array(tip),
         used=jnp.array(used),
+        weights=jnp.array(used, dtype=float),
         hanging=jnp.array(hanging),
         free_frame=jnp.array([not r.origin_known for r in recordings]),
+        conditions=conditions,
         steps=steps,
         any_hanging=bool(np.any(hanging)),
     )
@@ -204,7 +240,8 @@ def _check_inputs(scene, recording):
 
 def _clock(scene, recording: Recording, time_offset: bool, dt: float | None) -> Clock:
     times = recording.times
-    interval = float(np.median(np.diff(times)))
+    # Inputs may have been sampled faster than the tip.
+    interval = float(np.median(np.diff(times[recording.has_tip])))
     if dt is None:
         # A whole number of steps a sample, or of samples a step: samples fall on the grid.
         samples = math.floor(LARGEST_DT / interval + 1e-6)
@@ -215,6 +252,9 @@ def _clock(scene, recording: Recording, time_offset: bool, dt: float | None) -> 
     if not time_offset:
         return Clock(begin, 0.0 if _released(recording) else begin, 0.0, 0.0, dt, interval)
     margin = max(_DELAY_SAMPLES * interval, _DELAY_SECONDS)
+    if recording.starts_hanging and not _released(recording):
+        # A part of a longer log: it begins anywhere, and its clocks are about right.
+        return Clock(begin, begin, -margin, margin, dt, interval)
     onset = detect_onset(recording)
     if _released(recording):
         return Clock(onset, 0.0, -margin, margin, dt, interval)
@@ -234,19 +274,12 @@ def _hangs(scene, recording: Recording) -> bool:
 
     Told by the first sample of the tip: a rod that is let go begins straight.
     """
+    if recording.starts_hanging is not None:
+        return recording.starts_hanging
     if _released(recording) or not np.any(recording.has_tip):
         return False
     first = recording.tip_positions[recording.has_tip][0]
     return bool(np.linalg.norm(first - straight_tip(scene)) > _HANGING_PART * scene.length)
-
-
-def straight_tip(scene) -> np.ndarray:
-    """The tip [m] of the unloaded rod, (3,), if it is straight."""
-    tip = np.array([0.0, 0.0, float(scene.length)])
-    if scene.base_quaternion is not None:
-        w, *xyz = np.asarray(scene.base_quaternion)
-        tip = tip + 2 * np.cross(xyz, np.cross(xyz, tip) + w * tip)
-    return tip if scene.base_position is None else tip + np.asarray(scene.base_position)
 
 
 def _inputs(inputs, recordings, clocks, steps):

@@ -1,26 +1,17 @@
-"""Three ways down the same loss: a coarse search, gradient descent, Levenberg-Marquardt.
+"""Two ways down the same loss: Levenberg-Marquardt and gradient descent.
 
-All of them ask `Problem.at` for points and give the best one back, whatever happens on the way,
-Ctrl-C included.
+Both ask `Problem.at` for points and give the best one back.
 """
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import jax.numpy as jnp
 import numpy as np
 import optax
 
-from calibration.loss import Point, Problem, losses_by_delay
-
-# Factors of the coarse search. The tip of a rod that rings for n periods is in phase only within
-# 1/n of the right modulus: a ratio of 1.4 does for three periods, beyond which damping helps.
-_SEARCH = (
-    ("young_modulus", 2.0 ** np.array([-2, -1.5, -1, -0.5, 0.5, 1, 1.5, 2])),
-    ("bending_damping", 10.0 ** np.array([-2, -1.5, -1, -0.5, 0.5, 1])),
-    ("young_modulus", 2.0 ** np.array([-0.5, -0.25, 0.25, 0.5])),
-)
-_SEARCH_DELAYS = 41
+from calibration.loss import Point, Problem
+from calibration.progress import Report, Stage
+from calibration.start import better, by_frequency, coarse_search, in_time, search_size
 
 # Gradient descent: largest rate (in theta: 0.1 is 10 % of a value), the parts of the schedule
 # at which it is reached and what it falls to, and when to stop.
@@ -30,9 +21,14 @@ _STOP_WINDOW, _STOP_CHANGE = 25, 1e-4
 # Levenberg-Marquardt: converged when a full step promises less than this part of the loss, a
 # hundredth of a standard error or so for a few hundred samples.
 _PROMISE = 1e-6
-_LARGEST_FALL = -0.8  # of a value, relative
 _LARGEST_DELAY_STEP = 3.0  # sample intervals
-_LARGEST_DAMPING = 1e10
+_FIRST_DAMPING, _LARGEST_DAMPING, _GROWTH = 1e-2, 1e10, 4.0
+# It has stalled if so many evaluations gained less than this part of a loss that is still bad.
+_PATIENCE, _LEAST_GAIN = 8, 0.1
+
+# A result that leaves less than this part of the tip's motion (rms) is taken for the right one;
+# else the coarse search looks for a better place to start.
+_UNEXPLAINED = 0.15
 
 
 @dataclass(frozen=True)
@@ -44,71 +40,39 @@ class Outcome:
     iterations: int
 
 
-# A first result that leaves less than this part of the tip's motion (rms) is taken for the
-# right one; else the coarse search looks for a better place to start.
-_UNEXPLAINED = 0.15
-
-Report = Callable[[Point], None]
-Stage = Callable[[str, int], None]
-
-
 def minimise(
-    problem: Problem, optimiser: str, max_iterations: int, report: Report, stage: Stage
+    problem: Problem,
+    optimiser: str,
+    max_iterations: int,
+    report: Report,
+    stage: Stage,
+    x: np.ndarray | None = None,
 ) -> Outcome:
-    """The best point for `optimiser`, one of `OPTIMISERS`.
+    """The best point for `optimiser`, one of `OPTIMISERS`, from `x` or the setup's own values.
 
-    Levenberg-Marquardt starts where the scene is, which often does, and again from the
-    best of a coarse search if it ends badly. Gradient descent, with its hundreds of iterations,
-    always begins with the search. `stage` is told of each part and its largest size.
+    From where the recordings' frequency leads; again from the best of a coarse search if that
+    ends badly. `stage` is told of each part and its largest size.
     """
     run, _ = OPTIMISERS[optimiser]
     title = optimiser.replace("_", " ")
-    x = problem.start()
-    first = None
-    if optimiser == "levenberg_marquardt":
-        stage(title, max_iterations)
-        _, x = _shifted(problem.at(x))
-        first = run(problem, problem.at(x), max_iterations, report)
-        if first.best.ok and first.best.rms < _UNEXPLAINED * problem.motion_rms:
-            return first
+    stage("first look", None)
+    here = problem.at(problem.start() if x is None else x)
+    report(here)
+    explained = lambda loss: loss < (_UNEXPLAINED * problem.motion_rms) ** 2 * problem.samples
+    loss, x = in_time(here)
+    if not explained(loss):
+        x = by_frequency(problem, here, report)
+    start = problem.at(x)
+    report(start)
+    stage(title, max_iterations)
+    first = run(problem, start, max_iterations, report)
+    if first.best.ok and explained(first.best.loss):
+        return first
     stage("coarse search", search_size(problem))
-    start = coarse_search(problem, problem.start(), report)
+    start = problem.at(coarse_search(problem, better(first.best, start), report))
     stage(title, max_iterations)
     second = run(problem, start, max_iterations, report)
-    if first is None or not first.best.ok or second.best.loss < first.best.loss:
-        return second
-    return first
-
-
-def search_size(problem: Problem) -> int:
-    """How many points `coarse_search` evaluates."""
-    return 2 + sum(len(factors) for name, factors in _SEARCH if name in problem.names)
-
-
-def coarse_search(problem: Problem, x: np.ndarray, report: Report) -> Point:
-    """Try factors of the modulus and the damping at `x`, one after the other, with all delays.
-
-    A sum of squares of a ringing tip has a minimum wherever a whole number of periods is gained
-    or lost; this finds the right one of them.
-    """
-    first = problem.at(x)
-    report(first)
-    best_loss, best_x = _shifted(first)
-    for name, factors in _SEARCH:
-        if name not in problem.names:
-            continue
-        centre = best_x
-        for theta in np.log(factors):
-            x = centre.copy()
-            x[problem.names.index(name)] += theta
-            point = problem.at(x)
-            report(point)
-            loss, x = _shifted(point)
-            if loss < best_loss:
-                best_loss, best_x = loss, x
-    best = problem.at(best_x)
-    report(best)
-    return best
+    return second if better(second.best, first.best) is second.best else first
 
 
 def gradient_descent(
@@ -140,7 +104,7 @@ def gradient_descent(
             point = problem.at(x)
             if not point.ok:
                 x, point = best.x, best
-        best = _better(point, best)
+        best = better(point, best)
         history.append(best.loss)
         report(point)
         if k > _STOP_WINDOW and history[-1] > (1 - _STOP_CHANGE) * history[-1 - _STOP_WINDOW]:
@@ -149,16 +113,21 @@ def gradient_descent(
 
 
 def levenberg_marquardt(
-    problem: Problem, start: Point, max_iterations: int, report: Report
+    problem: Problem, start: Point, max_iterations: int, report: Report, held: tuple[int, ...] = ()
 ) -> Outcome:
-    """Damped Gauss-Newton steps; an iteration is one evaluation."""
+    """Damped Gauss-Newton steps; an iteration is one evaluation. Unknowns `held` do not move."""
     low, high = problem.bounds
-    point, damping, growth = start, 1e-3, 2.0
+    point, damping, growth = start, _FIRST_DAMPING, _GROWTH
+    losses = [start.loss]
+    bad = (_UNEXPLAINED * problem.motion_rms) ** 2 * problem.samples
     for k in range(1, max_iterations + 1):
         J, r = point.jacobian, point.residuals
         JJ, gradient = J.T @ J, J.T @ r
         # At a bound and pushed against it: held there.
         free = ~((point.x <= low) & (gradient > 0)) & ~((point.x >= high) & (gradient < 0))
+        free[list(held)] = False
+        if not np.any(free):
+            return Outcome(point, "converged", k - 1)
         diagonal = np.diag(JJ)
         # The floor holds parameters that the data say nothing of.
         scale = np.maximum(diagonal, 1e-9 * np.max(diagonal, initial=1e-300))
@@ -176,51 +145,28 @@ def levenberg_marquardt(
         if gain > 0:
             # Nielsen (1999): the damping follows how well the linear model did.
             damping = max(damping * max(1 / 3, 1 - (2 * gain - 1) ** 3), 1e-12)
-            point, growth = trial, 2.0
+            point, growth = trial, _GROWTH
         else:
             damping, growth = damping * growth, 2 * growth
             if damping > _LARGEST_DAMPING:
                 return Outcome(point, "converged", k)
+        losses.append(point.loss)
+        little = len(losses) > _PATIENCE and losses[-1] > (1 - _LEAST_GAIN) * losses[-1 - _PATIENCE]
+        if little and losses[-1] > bad:
+            return Outcome(point, "converged to a place that explains little of the motion", k)
     return Outcome(point, f"stopped after {max_iterations} iterations", max_iterations)
 
 
 def _stepped(problem: Problem, x, step):
-    """The step, kept from overshooting, and where it leads from x.
-
-    A parameter's step is a relative change of its value: what a damping or a drag does is
-    linear in it, so that one that is far too small gets where it should be at once, and not by a
-    limited number of doublings.
-    """
-    n = len(problem.names)
-    step = step.copy()
-    step[:n] = np.maximum(step[:n], _LARGEST_FALL)
+    """The step, kept from overshooting, and where it leads from x."""
+    step, x = step.copy(), x.copy()
+    for i, u in enumerate(problem.unknowns.items):
+        step[i], moved = u.parameter.scale.limited(step[i])
+        x[i] += moved
+    n = problem.size
     step[n:] = np.clip(step[n:], -_LARGEST_DELAY_STEP, _LARGEST_DELAY_STEP)
-    return step, x + np.append(np.log1p(step[:n]), step[n:])
-
-
-def _better(a: Point, b: Point) -> Point:
-    return a if a.ok and (a.loss < b.loss or not b.ok) else b
-
-
-def _shifted(point: Point) -> tuple[float, np.ndarray]:
-    """Loss and x of the same motion with each recording's clock where it fits best.
-
-    Needs no simulation: the motion is only shifted in time.
-    """
-    problem, x = point.problem, point.x.copy()
-    if not point.ok:
-        return np.inf, x
-    if not problem.time_offset:
-        return point.loss, x
-    low, high = (np.array([getattr(c, k) for c in problem.clocks]) for k in ("low", "high"))
-    delays = np.linspace(low, high, _SEARCH_DELAYS, axis=1)
-    losses = np.asarray(
-        losses_by_delay(point.evaluation.motion, problem.batch, delays, problem.scene.length)
-    )
-    best = np.argmin(losses, axis=1)
-    rows = np.arange(len(best))
-    x[len(problem.names) :] = delays[rows, best] / [c.interval for c in problem.clocks]
-    return float(np.sum(losses[rows, best])), x
+    x[n:] += step[n:]
+    return step, x
 
 
 # By name, each with its default for the largest number of iterations.

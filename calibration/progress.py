@@ -1,11 +1,16 @@
 """What a fit shows while it runs: iteration, loss, parameters and time left."""
 
 import abc
+from collections.abc import Callable
 
 import numpy as np
 
 from calibration.loss import Point
-from calibration.parameters import PARAMETERS
+
+# What a part of a fit tells about itself: each point evaluated, and that a part of at most so many
+# evaluations begins.
+Report = Callable[[Point], None]
+Stage = Callable[[str, int | None], None]
 
 
 class Meter(abc.ABC):
@@ -105,8 +110,8 @@ class Bar(Meter):
 
 def _values(point: Point) -> str:
     parts = []
-    for name, value in point.problem.values(point.x).items():
-        unit = PARAMETERS[name].unit
-        text = ",".join(f"{v:.4g}" for v in np.ravel(value))
-        parts.append(f"{name} {text}" + (f" {unit}" if unit != "1" else ""))
+    for item, theta in zip(point.problem.unknowns.items, point.x, strict=False):
+        unit = item.parameter.unit
+        text = ",".join(f"{v:.4g}" for v in np.ravel(item.value(theta)))
+        parts.append(f"{item.label} {text}" + (f" {unit}" if unit != "1" else ""))
     return "  ".join(parts)

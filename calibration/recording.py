@@ -1,12 +1,13 @@
 """Recordings of a robot: what was done to it and where its tip went.
 
-`load_recording` reads the log format of this project (CSV) and motion capture (C3D). SI units;
-a sample of the tip that is missing is NaN.
+`load_recording` reads the log format of this project (CSV), motion capture (C3D) and, with a
+mapping of their columns, other tables. SI units; a sample of the tip that is missing is NaN.
 """
 
 import csv
 import math
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 from os import PathLike
 from pathlib import Path
 
@@ -33,6 +34,10 @@ class Recording:
     - `origin_known`: False if the file does not say where the clamp is, so that the tip was
       put in place by its rest position; only its displacement is then a measurement.
     - `notes`: what the reader had to assume.
+    - `starts_hanging`: whether the rod begins in equilibrium under the first inputs, and not
+      straight; None: told by the first sample of the tip.
+    - `conditions`: values of parameters in which this experiment differs from the scene, by name
+      (`calibration.parameters`), such as {"payload_mass": 0.052}.
     """
 
     times: np.ndarray
@@ -43,6 +48,8 @@ class Recording:
     source: str = ""
     origin_known: bool = True
     notes: tuple[str, ...] = ()
+    starts_hanging: bool | None = None
+    conditions: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def has_tip(self) -> np.ndarray:
@@ -70,28 +77,46 @@ class Recording:
 
 
 def load_recording(
-    path: str | PathLike, scene=None, *, need_tip: bool = True, **c3d_options
+    path: str | PathLike,
+    scene=None,
+    *,
+    mapping: str | PathLike | None = None,
+    need_tip: bool = True,
+    **c3d_options,
 ) -> Recording:
-    """The recording in `path`, a .csv log or a .c3d motion capture.
+    """The recording in `path`: a .csv log, a .c3d motion capture or, with a mapping, any table.
 
     With a `scene`, the log must have a column for each of its tendons and chambers, and the
-    tip must be within reach of the rod. A C3D needs the scene; `tip_markers`, `base_markers`
-    and `axes` are its options, see `calibration.c3d.read_c3d`. `need_tip=False` accepts a CSV
-    without tip columns: inputs alone.
+    tip must be within reach of the rod. `mapping`: a file that says which columns of a .csv, .mat,
+    .h5, .parquet or .c3d are what, see `calibration.mapping`. Without one a .csv has this project's
+    columns, see `read_log`, and a .c3d is read by `calibration.c3d.read_c3d`, whose options are
+    `tip_markers`, `base_markers` and `axes`. Both kinds but the .csv need the scene.
+    `need_tip=False` accepts a CSV without tip columns: inputs alone.
 
     Raises `RecordingError` (a `ValueError`) naming file, row, column, value and remedy.
     """
     suffix = Path(path).suffix.lower()
+    if c3d_options and (suffix != ".c3d" or mapping is not None):
+        names = ", ".join(c3d_options)
+        raise RecordingError(
+            f"{path}: {names}: options of .c3d files without a mapping only; leave them out"
+        )
+    if mapping is not None:
+        from calibration.mapping import read_mapped
+
+        if scene is None:
+            raise RecordingError(f"{path}: to read it by a mapping, give the scene")
+        return read_mapped(path, mapping, scene)
     if suffix == ".csv":
-        if c3d_options:
-            names = ", ".join(c3d_options)
-            raise RecordingError(f"{path}: {names}: options of .c3d files only; leave them out")
         return read_log(path, scene, need_tip=need_tip)
     if suffix == ".c3d":
         from calibration.c3d import read_c3d  # needs an optional package
 
         return read_c3d(path, scene, **c3d_options)
-    raise RecordingError(f"{path}: unknown kind of recording {suffix!r}: expected .csv or .c3d")
+    raise RecordingError(
+        f"{path}: unknown kind of recording {suffix!r}: expected .csv or .c3d; .mat, .h5 and "
+        ".parquet need a mapping that says which columns are what"
+    )
 
 
 def read_log(path: str | PathLike, scene=None, *, need_tip: bool = True) -> Recording:

@@ -2,18 +2,24 @@
 
 import numpy as np
 
-from calibration.fit import Fit
-from calibration.parameters import LARGEST_FACTOR, PARAMETERS
+from calibration.materials import MATERIALS, SOFT
+from calibration.results import Fit
+from calibration.scales import LARGEST_FACTOR
+from calibration.spectra import amplitudes
 
-# Ranges of soft robots' materials, wide: a value outside is a sign, not a verdict.
-_PLAUSIBLE = {
-    "young_modulus": (1e3, 1e8),
-    "density": (100.0, 3000.0),
-    "poisson_ratio": (0.2, 0.5),
-}
 _AIR_DENSITY = 1.2  # kg/m^3
 _BLUFF = 2.0  # drag coefficient of a flat plate or a square bar across the stream
 _STRONG_CORRELATION = 0.95
+# A shift by finer simulation is not small above this part of the interval's half width,
+_SMALL_SHIFT = 0.25
+# .. a prediction is worse than the fit above this ratio of their residuals,
+_WORSE = 1.5
+# .. and starts ended in the same place if their residuals agree to this part.
+_SAME_END = 0.01
+# Residuals at a frequency are the simulation's own if they are so much larger than the motion.
+_OF_ITS_OWN = 5.0
+# A parameter that would take away this part of the residuals (rms) is worth a remark.
+_TELLING = 0.15
 
 
 def remarks(fit: Fit) -> list[str]:
@@ -21,11 +27,17 @@ def remarks(fit: Fit) -> list[str]:
     return [
         *_not_converged(fit),
         *_not_identifiable(fit),
-        *_time_step(fit),
+        *_starts(fit),
+        *_numerics(fit),
         *_implausible(fit),
+        *_held_out(fit),
         *_correlated(fit),
         *_systematic(fit),
+        *_ringing(fit),
+        *_explained(fit),
+        *_outliers(fit),
         *_frames(fit),
+        *_beside_the_scene(fit),
     ]
 
 
@@ -54,38 +66,48 @@ def _not_identifiable(fit):
             f"{name} is not identifiable from these recordings: {what}. Do not use its value; "
             "fix it at one that is known, or record a motion that depends on it."
         )
-        ratio = np.ravel(estimate.value)[0] / np.ravel(estimate.initial)[0]
+        start, end = (float(np.max(np.abs(v))) for v in (estimate.initial, estimate.value))
+        ratio = end / start if start else 1.0
         if ratio > 0.99 * LARGEST_FACTOR or ratio < 1.01 / LARGEST_FACTOR:
             yield f"{name} ran to the end of the range that is searched."
 
 
-def _time_step(fit):
-    for name, estimate in fit.parameters.items():
-        shift = estimate.step_shift
-        if shift is None:
-            continue
-        low, high = (None if end is None else np.ravel(end)[0] for end in estimate.ci95)
-        if low is None or high is None:
-            continue
-        value = np.ravel(estimate.value)[0]
-        if abs(shift) * value > 0.5 * (high - low) / 2:
-            yield (
-                f"With a time step twice as long, {name} would move by {shift:+.1%}, which is not "
-                "small against its interval: fit again with a smaller dt."
-            )
+def _starts(fit):
+    if len(fit.starts) > 1:
+        best = fit.starts[0].rms
+        same = sum(s.rms <= (1 + _SAME_END) * best for s in fit.starts)
+        yield f"{same} of {len(fit.starts)} starts ended in the same place as the best of them." + (
+            "" if same > 1 else " The others did not find it: start from more places."
+        )
+
+
+def _numerics(fit):
+    for name, e in fit.parameters.items():
+        for shift, what, remedy in (
+            (e.step_shift, "half the time step", "a smaller dt"),
+            (e.grid_shift, "twice the grid along the rod", "a finer method"),
+        ):
+            if shift is not None and abs(shift) > _SMALL_SHIFT:
+                yield (
+                    f"With {what}, {name} would move by {shift:+.0%} of the half width of its "
+                    f"interval, which is not small: fit again with {remedy}."
+                )
 
 
 def _implausible(fit):
-    for name, (low, high) in _PLAUSIBLE.items():
-        if name in fit.parameters:
-            estimate = fit.parameters[name]
-            value = float(np.ravel(estimate.value)[0])
-            if not low <= value <= high:
-                yield (
-                    f"{name} = {_show(value, estimate.unit)} is outside the range of soft "
-                    f"materials, {low:g} to {_show(high, estimate.unit)}: check units, section and "
-                    "length."
-                )
+    material = SOFT if fit.material is None else MATERIALS[fit.material]
+    whose = "soft materials" if fit.material is None else fit.material
+    for label, estimate in fit.parameters.items():
+        if not hasattr(material, estimate.name):
+            continue
+        low, high = getattr(material, estimate.name)
+        value = float(np.ravel(estimate.value)[0])
+        if not low <= value <= high:
+            yield (
+                f"{label} = {_show(value, estimate.unit)} is outside the published range of "
+                f"{whose}, {low:.3g} to {_show(high, estimate.unit)}: check units, section, length "
+                "and what the tip carries."
+            )
     if "drag_coefficient" in fit.parameters:
         width = 2 * np.sqrt(float(fit.scene.section.area) / np.pi)
         air = 0.5 * _AIR_DENSITY * _BLUFF * width
@@ -94,8 +116,9 @@ def _implausible(fit):
             yield (
                 f"drag_coefficient is larger than air can cause on a body {1e3 * width:.3g} mm "
                 f"wide (about {air:.2g} kg/m^2): unless the rod moves in a liquid, it stands for "
-                "some other loss that grows with amplitude, such as friction or a damping of the "
-                "material that is not viscous."
+                "some other loss that grows with amplitude: friction, a damping of the material "
+                "that is not viscous or, after a release by hand, fingers that followed the rod "
+                "(fit release_duration)."
             )
 
 
@@ -111,14 +134,58 @@ def _correlated(fit):
                 )
 
 
+def _held_out(fit):
+    if not fit.held_out:
+        return
+    fitted = max(r.rmse for r in fit.recordings)
+    for r in fit.held_out:
+        if r.rmse > _WORSE * fitted:
+            yield (
+                f"{r.name}, which was kept aside, is predicted to {1e3 * r.rmse:.3g} mm rms, and "
+                f"the recordings of the fit to {1e3 * fitted:.3g} mm or better: what was fitted "
+                "does not hold for it."
+            )
+
+
 def _systematic(fit):
-    total = sum(int(np.sum(np.isfinite(r.measured))) for r in fit.recordings)
-    if fit.effective_samples < 0.5 * total:
+    if fit.effective_samples < 0.5 * fit.samples:
         yield (
-            f"Residuals are correlated in time: {total} coordinates are worth "
+            f"Residuals are correlated in time: {fit.samples} coordinates are worth "
             f"{fit.effective_samples:.0f} independent ones. Intervals are widened accordingly. "
             "Usually the model leaves something out; see the residuals."
         )
+
+
+def _ringing(fit):
+    for r in fit.recordings:
+        f, left = amplitudes(r.times, r.simulated - r.measured)
+        _, motion = amplitudes(r.times, r.measured)
+        for axis, letter in enumerate("xyz"):
+            k = int(np.argmax(left[:, axis]))
+            if left[k, axis] > _OF_ITS_OWN * motion[k, axis] > 0:
+                yield (
+                    f"{r.name}: along {letter} the simulation rings at {f[k]:.3g} Hz, "
+                    f"{1e3 * left[k, axis]:.2g} mm large, and the robot does not. A damping is "
+                    "missing; waves along the rod are damped by shear_damping."
+                )
+
+
+def _explained(fit):
+    left = np.sqrt(np.mean([r.rmse**2 for r in fit.recordings]))
+    for e in fit.explanations or ():
+        if e.rms < (1 - _TELLING) * left:
+            values = ", ".join(f"{k} = {_show(v, e.units[k])}" for k, v in e.values.items())
+            yield (
+                f"If {e.name} were fitted, too, about {1e3 * e.rms:.3g} mm rms would be left of "
+                f"{1e3 * left:.3g} ({values}): it, or something that looks like it, is missing."
+            )
+
+
+def _outliers(fit):
+    for r in fit.recordings:
+        count = int(np.sum(np.any(np.isfinite(r.measured) & (r.weights < 0.5), axis=1)))
+        if count:
+            yield f"{r.name}: {count} of {len(r.times)} samples were taken for outliers."
 
 
 def _frames(fit):
@@ -134,6 +201,16 @@ def _frames(fit):
             )
 
 
+def _beside_the_scene(fit):
+    beside = ("tendon_efficiency", "sensor_offset", "release_duration")
+    names = [k for k, e in fit.parameters.items() if e.name.startswith(beside) or e.recording]
+    if names:
+        yield (
+            f"{', '.join(names)}: not part of the fitted scene file, which holds what belongs to "
+            "the robot and to all recordings."
+        )
+
+
 def _show(value, unit: str) -> str:
     text = ", ".join(f"{v:.4g}" for v in np.ravel(value))
-    return text if unit == PARAMETERS["poisson_ratio"].unit else f"{text} {unit}"
+    return text if unit == "1" else f"{text} {unit}"

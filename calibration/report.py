@@ -9,9 +9,9 @@ from pathlib import Path
 import numpy as np
 
 import softrod_jax as sr
-from calibration.fit import Estimate, Fit
 from calibration.plots import write_plots
 from calibration.remarks import remarks
+from calibration.results import Estimate, Fit
 
 
 def write_report(fit: Fit, out_dir: str | PathLike) -> Path:
@@ -19,8 +19,8 @@ def write_report(fit: Fit, out_dir: str | PathLike) -> Path:
 
     - `parameters.json`: what `as_json` gives.
     - `report.html`: the same for reading, with the plots inside.
-    - `scene.toml`: the scene with the fitted values.
-    - `fit_*.png`, `convergence.png`.
+    - `scene.toml`: the scene with the fitted values, for `softrod simulate`.
+    - `fit_*.png`, `residuals_*.png`, `motion_*.png`, `profile_*.png`, `convergence.png`.
 
     Raises `OSError` if a file cannot be written.
     """
@@ -28,7 +28,7 @@ def write_report(fit: Fit, out_dir: str | PathLike) -> Path:
     out.mkdir(parents=True, exist_ok=True)
     text = json.dumps(as_json(fit), indent=2, allow_nan=False)
     (out / "parameters.json").write_text(text + "\n", encoding="utf-8")
-    sr.save_scene(fit.scene, out / "scene.toml")
+    sr.save_scene(fit.setup.simulated_scene(), out / "scene.toml")
     pictures = write_plots(fit, out)
     (out / "report.html").write_text(_html(fit, pictures), encoding="utf-8")
     return out
@@ -36,11 +36,10 @@ def write_report(fit: Fit, out_dir: str | PathLike) -> Path:
 
 def summary(fit: Fit) -> str:
     """The parameters and what is left of each recording, as lines of text."""
-    lines = [("parameter", "value", "95 % interval", "initial", "identified")]
+    lines = [("parameter", "value", "95 % interval", "initial", "verdict")]
     for name, e in fit.parameters.items():
         unit = "" if e.unit == "1" else f" {e.unit}"
-        verdict = "yes" if e.identifiable else "no"
-        lines.append((name, _show(e.value) + unit, _interval(e), _show(e.initial), verdict))
+        lines.append((name, _show(e.value) + unit, _interval(e), _show(e.initial), e.verdict))
     widths = [max(len(line[i]) for line in lines) for i in range(len(lines[0]))]
     text = ["  ".join(c.ljust(w) for c, w in zip(line, widths, strict=True)) for line in lines]
     text += [
@@ -48,6 +47,7 @@ def summary(fit: Fit) -> str:
         f"{r.selection.start:.2f} to {r.selection.end:.2f} s; time offset {r.time_offset:.4f} s"
         for r in fit.recordings
     ]
+    text += [f"{r.name}: predicted to {1e3 * r.rmse:.3g} mm rms" for r in fit.held_out]
     return "\n".join(line.rstrip() for line in [*text, fit.result])
 
 
@@ -55,8 +55,9 @@ def as_json(fit: Fit) -> dict:
     """The fit as plain numbers, lists and strings.
 
     "parameters", by name: value, ci95 = [low, high] (null on a side without a bound), initial,
-    unit, identifiable, step_shift (relative change with a time step twice as long). "rmse_m" and
-    "time_offset_s", by recording; and how the fit was made.
+    unit, identifiable, verdict, recording (null: all), step_shift and grid_shift (change with half
+    the time step and twice the grid, in half widths of the interval). "rmse_m" and "time_offset_s",
+    by recording, "held_out_rmse_m"; and how the fit was made.
     """
     return {
         "result": fit.result,
@@ -67,11 +68,15 @@ def as_json(fit: Fit) -> dict:
                 "initial": _plain(e.initial),
                 "unit": e.unit,
                 "identifiable": e.identifiable,
+                "verdict": e.verdict,
+                "recording": e.recording,
                 "step_shift": _plain(e.step_shift),
+                "grid_shift": _plain(e.grid_shift),
             }
             for name, e in fit.parameters.items()
         },
         "rmse_m": fit.rmse_m,
+        "held_out_rmse_m": {r.name: r.rmse for r in fit.held_out},
         "rmse_axes_m": {r.name: _plain(r.rmse_axes) for r in fit.recordings},
         "samples": {r.name: int(_sampled(r)) for r in fit.recordings},
         "window_s": {r.name: [r.selection.start, r.selection.end] for r in fit.recordings},
@@ -79,8 +84,23 @@ def as_json(fit: Fit) -> dict:
         "time_offset_ci95_s": {r.name: _plain(r.time_offset_ci95) for r in fit.recordings},
         "tip_offset_m": {r.name: _plain(r.tip_offset) for r in fit.recordings},
         "frame_rotation_rad": {r.name: _plain(r.frame_rotation) for r in fit.recordings},
+        "conditions": {r.name: dict(r.recording.conditions) for r in fit.recordings},
         "correlation": _plain(fit.correlation),
+        "samples_of_coordinates": fit.samples,
         "effective_samples": fit.effective_samples,
+        "profiles": {
+            label: {"values": _plain(p.values), "excess": _plain(p.excess)}
+            for label, p in fit.profiles.items()
+        },
+        "starts": [
+            {"initial": s.initial, "values": s.values, "rms_m": _plain(s.rms), "result": s.result}
+            for s in fit.starts
+        ],
+        "explanations": [
+            {"name": e.name, "rms_m": e.rms, "values": e.values} for e in fit.explanations or ()
+        ],
+        "material": fit.material,
+        "loss": fit.loss,
         "optimiser": fit.optimiser,
         "iterations": fit.iterations,
         "evaluations": fit.evaluations,
@@ -120,9 +140,14 @@ def _html(fit: Fit, pictures: dict[str, Path]) -> str:
         f"<p>{_headline(fit)}</p>",
         "<h2>Parameters</h2>",
         _table(
-            ("parameter", "value", "95 % interval", "unit", "initial", "identified"),
+            (
+                "parameter", "value", "95 % interval", "unit", "initial", "verdict",
+                "half step", "twice the grid",
+            ),
             [_row(name, e) for name, e in fit.parameters.items()],
         ),
+        "<p><small>Half step, twice the grid: how far the value would move if the simulation were "
+        "finer, in half widths of its interval.</small></p>",
         "<h2>Before you use them</h2><ul>",
         *(f"<li>{escape(r)}</li>" for r in remarks(fit) or ["Nothing stands out."]),
         "</ul><h2>Recordings</h2>",
@@ -135,6 +160,10 @@ def _html(fit: Fit, pictures: dict[str, Path]) -> str:
         "much later than the inputs the tip's clock says they began. Samples used: "
         + "; ".join(sorted({escape(r.selection.rule) for r in fit.recordings}))
         + ".</small></p>",
+        *_notes(fit),
+        *_held_out(fit),
+        *_starts(fit),
+        *_explanations(fit),
     ]
     for title, path in pictures.items():
         data = base64.b64encode(path.read_bytes()).decode()
@@ -164,20 +193,78 @@ def _headline(fit: Fit) -> str:
     )
 
 
+def _notes(fit: Fit) -> list[str]:
+    """What readers assumed, and in what recordings differ from the scene."""
+    lines = []
+    for r in (*fit.recordings, *fit.held_out):
+        conditions = [f"{k} = {v:g}" for k, v in r.recording.conditions.items()]
+        said = (*r.recording.notes, *conditions)
+        lines += [f"<li>{escape(r.name)}: {escape(text)}</li>" for text in said]
+    return ["<ul>", *lines, "</ul>"] if lines else []
+
+
+def _held_out(fit: Fit) -> list[str]:
+    if not fit.held_out:
+        return []
+    head = ("kept aside", "rms [mm]", "x, y, z [mm]", "samples", "window [s]", "time offset [s]")
+    return [
+        "<h2>Predictions of recordings that were kept aside</h2>",
+        _table(head, [_recording_row(r) for r in fit.held_out]),
+        "<p><small>Of these only the clock was fitted.</small></p>",
+    ]
+
+
+def _starts(fit: Fit) -> list[str]:
+    if len(fit.starts) < 2:
+        return []
+    names = list(fit.starts[0].values)
+    rows = [
+        (
+            str(k + 1),
+            f"{1e3 * s.rms:.4g}",
+            *(f"{s.initial[n]:.3g} &rarr; {s.values[n]:.4g}" for n in names),
+            escape(s.result),
+        )
+        for k, s in enumerate(fit.starts)
+    ]
+    return ["<h2>Starts</h2>", _table(("", "rms [mm]", *map(escape, names), "result"), rows)]
+
+
+def _explanations(fit: Fit) -> list[str]:
+    if not fit.explanations:
+        return []
+    rows = [
+        (
+            escape(e.name),
+            f"{1e3 * e.rms:.3f}",
+            ", ".join(f"{escape(k)} = {v:.4g} {escape(e.units[k])}" for k, v in e.values.items()),
+        )
+        for e in fit.explanations
+    ]
+    return [
+        "<h2>What else would explain the residuals</h2>",
+        _table(("if fitted, too", "rms left [mm]", "at about"), rows),
+        "<p><small>To first order, one at a time. A parameter that takes much away need not be the "
+        "cause; something that looks like it is missing.</small></p>",
+    ]
+
+
 def _method(fit: Fit) -> str:
     steps = ", ".join(f"{1e3 * dt:.3g} ms" for dt in sorted(set(fit.dt.values())))
+    loss = "least squares" if fit.loss == "squares" else f"{fit.loss} weights"
     return (
-        f"Coarse search, then {escape(fit.optimiser.replace('_', ' '))}: {fit.evaluations} "
-        f"simulations, {fit.seconds:.1f} s. Time step {steps}. Parameters were fitted as "
-        "logarithms, by least squares of the tip's distance. Intervals: linearised least squares, "
-        "noise estimated by recording and axis and widened for its correlation in time "
-        f"({fit.effective_samples:.0f} independent coordinates); bounds of parameters that are not "
-        "well determined were looked for by simulation."
+        f"{escape(fit.optimiser.replace('_', ' '))}, {loss}: {fit.evaluations} "
+        f"simulations, {fit.seconds:.1f} s. Time step {steps}. Positive parameters were fitted as "
+        "logarithms. Intervals: linearised least squares, noise estimated by recording and axis "
+        "and taken at the frequency where it is largest "
+        f"({fit.effective_samples:.0f} independent of {fit.samples} coordinates); bounds of "
+        "parameters that are not well determined were looked for by simulation."
     )
 
 
 def _row(name: str, e: Estimate) -> tuple:
-    verdict = "yes" if e.identifiable else "<span class='no'>no</span>"
+    verdict = e.verdict if e.identifiable else f"<span class='no'>{e.verdict}</span>"
+    shift = lambda x: "&ndash;" if x is None else f"{x:+.3f}"
     return (
         escape(name),
         _show(e.value),
@@ -185,6 +272,8 @@ def _row(name: str, e: Estimate) -> tuple:
         escape("" if e.unit == "1" else e.unit),
         _show(e.initial),
         verdict,
+        shift(e.step_shift),
+        shift(e.grid_shift),
     )
 
 

@@ -35,6 +35,12 @@ class Selection:
     rule: str
 
 
+def kept(recording: Recording, selection: Selection) -> np.ndarray:
+    """(T,) bool: the samples inside the selection with at least one coordinate of the tip."""
+    inside = (recording.times >= selection.start) & (recording.times <= selection.end)
+    return inside & np.any(np.isfinite(recording.tip_positions), axis=1)
+
+
 def select(recording: Recording, window: tuple[float, float] | None) -> Selection:
     """The samples to use: those in `window` [s] if given, else by the rule `RULE`.
 
@@ -51,8 +57,7 @@ def select(recording: Recording, window: tuple[float, float] | None) -> Selectio
         selection = Selection(start, end, "window given")
     else:
         selection = _default(recording)
-    inside = (recording.times >= selection.start) & (recording.times <= selection.end)
-    known = int(np.sum(inside & np.any(np.isfinite(recording.tip_positions), axis=1)))
+    known = int(np.sum(kept(recording, selection)))
     if known < 5:
         raise RecordingError(
             f"{recording.source or recording.name}: {known} samples of the tip between "
@@ -64,6 +69,8 @@ def select(recording: Recording, window: tuple[float, float] | None) -> Selectio
 
 def _default(recording: Recording) -> Selection:
     times = recording.times
+    if recording.starts_hanging:
+        return Selection(times[0], times[-1], "all samples")
     try:
         onset = detect_onset(recording)
     except RecordingError:

@@ -1,20 +1,31 @@
-"""Fit a scene's material to recordings; without arguments, on the bundled example.
+"""Fit a scene to recordings; without arguments, on the bundled example.
 
-Writes DIR/parameters.json, a report and plots. A recording is a .csv log or a .c3d motion
-capture.
+Writes DIR/parameters.json, a report, plots and the fitted scene. A recording is a .csv log or a
+.c3d motion capture or, with a mapping file, any .csv, .mat, .h5, .parquet or .c3d. A mapping file
+beside LOG whose name is LOG's with .map.toml in place of its ending is used for it.
 """
 
+import argparse
+from dataclasses import replace
 from pathlib import Path
 
-from calibration.cli.common import UsageError, note, number, prepare_jax
+from calibration.cli.common import UsageError, note, number, positive, prepare_jax
 
 _EXAMPLE = Path(__file__).parents[1] / "examples"
 _DEFAULT_OUT = "softrod-calibration"
 
 
+def _count(text: str) -> int:
+    """A whole number from 1, for argparse."""
+    value = number(text)
+    if value < 1 or value != int(value):
+        raise argparse.ArgumentTypeError(f"{text} is not a whole number from 1")
+    return int(value)
+
+
 def add_arguments(parser) -> None:
     parser.add_argument("scene", nargs="?", metavar="SCENE.toml", help="the scene file")
-    parser.add_argument("logs", nargs="*", metavar="LOG", help="recordings, .csv or .c3d")
+    parser.add_argument("logs", nargs="*", metavar="LOG", help="recordings")
     parser.add_argument(
         "--fit",
         metavar="NAME,..",
@@ -22,9 +33,23 @@ def add_arguments(parser) -> None:
         "drag_coefficient that the scene has)",
     )
     parser.add_argument(
+        "--per-recording",
+        metavar="NAME,..",
+        help="those of them of which each recording has its own value",
+    )
+    parser.add_argument(
+        "--bounds",
+        metavar="NAME=LOW:HIGH",
+        nargs="+",
+        help="bounds of parameters, in their units",
+    )
+    parser.add_argument(
         "--no-time-offset",
         action="store_true",
         help="trust the recordings' clocks: do not fit when inputs or release really began",
+    )
+    parser.add_argument(
+        "--held-out", metavar="LOG", nargs="+", help="recordings to predict and not to fit"
     )
     parser.add_argument(
         "--out",
@@ -32,15 +57,63 @@ def add_arguments(parser) -> None:
         metavar="DIR",
         help=f"where the results go (default: {_DEFAULT_OUT})",
     )
+    parser.add_argument("--json", action="store_true", help="parameters.json on stdout as well")
     parser.add_argument(
+        "--resume", action="store_true", help="go on with an interrupted fit in DIR"
+    )
+    search = parser.add_argument_group("search and checks")
+    search.add_argument(
+        "--optimiser",
+        default="levenberg_marquardt",
+        help="levenberg_marquardt, or adam (gradient descent)",
+    )
+    search.add_argument(
+        "--loss", default="squares", help="squares, or huber or tukey, which outliers hardly move"
+    )
+    search.add_argument(
+        "--starts", type=_count, default=1, metavar="N", help="search from N places (1)"
+    )
+    search.add_argument(
+        "--profile", metavar="NAME,..", help="parameters of which to make the profile likelihood"
+    )
+    search.add_argument(
+        "--explain", action="store_true", help="tell what else would explain the residuals"
+    )
+    search.add_argument(
+        "--material", metavar="NAME", help="compare values with this material's published range"
+    )
+    search.add_argument(
+        "--no-checks",
+        action="store_true",
+        help="do not simulate the result again with half the step and twice the grid",
+    )
+    data = parser.add_argument_group("data")
+    data.add_argument("--mapping", metavar="FILE.toml", help="which columns of the logs are what")
+    data.add_argument(
+        "--condition",
+        metavar="NAME=V1,V2,..",
+        nargs="+",
+        help="in what the recordings differ from the scene, such as payload_mass=0,0.052: a value "
+        "for each LOG, then for each of --held-out",
+    )
+    data.add_argument(
+        "--look", action="store_true", help="plot the recordings to DIR/data.png, and stop there"
+    )
+    data.add_argument(
         "--window",
         type=number,
         nargs=2,
         metavar=("START", "END"),
         help="use this part of each recording only [s, on its own clock]",
     )
-    parser.add_argument("--json", action="store_true", help="parameters.json on stdout as well")
-    c3d = parser.add_argument_group("C3D files")
+    data.add_argument(
+        "--split",
+        type=positive,
+        nargs=2,
+        metavar=("DURATION", "LEAD"),
+        help="cut logs with inputs into windows [s], each with a lead to forget its beginning",
+    )
+    c3d = parser.add_argument_group("C3D files without a mapping")
     c3d.add_argument(
         "--tip-markers", metavar="LABEL,..", help="how the tip markers' labels begin (tip)"
     )
@@ -60,27 +133,53 @@ def add_arguments(parser) -> None:
 def run(args) -> int:
     scene_path, log_paths = (args.scene, args.logs) if args.scene else _example()
     if not log_paths:
-        raise UsageError("no recordings: give at least one LOG after the scene (.csv or .c3d)")
+        raise UsageError("no recordings: give at least one LOG after the scene")
     out = Path(args.out)
     if out.exists() and not out.is_dir():
         raise UsageError(f"--out {out}: is a file; give a directory")
+    bounds = dict(_bound(text) for text in args.bounds or ())
     prepare_jax()
     import softrod_jax as sr
 
     try:
         from calibration import calibrate
+        from calibration.plots import write_data_plot
         from calibration.report import summary, write_report
     except ImportError as e:
         raise UsageError(f"{e}: pip install 'softrod_jax[calibration]'") from None
 
     scene = sr.load_scene(scene_path)
-    recordings = _recordings(args, log_paths, scene)
+    held_out_paths = args.held_out or []
+    read = _recordings(args, [*log_paths, *held_out_paths], scene)
+    read = _conditioned(read, args.condition or ())
+    recordings, held_out = (
+        _cut(args, part) for part in (read[: len(log_paths)], read[len(log_paths) :])
+    )
+    for recording in [*recordings, *held_out]:
+        for assumption in recording.notes:
+            note(f"{recording.name}: {assumption}")
     out.mkdir(parents=True, exist_ok=True)
+    picture = write_data_plot([*recordings, *held_out], None, out / "data.png")
+    if args.look:
+        print(f"the recordings are in {picture}")
+        return 0
     fit = calibrate(
         scene,
         recordings,
-        fit=None if args.fit is None else tuple(x.strip() for x in args.fit.split(",")),
+        fit=_names(args.fit) or None,
+        per_recording=_names(args.per_recording),
+        bounds=bounds,
+        held_out=held_out,
         time_offset=not args.no_time_offset,
+        optimiser=args.optimiser,
+        loss=args.loss,
+        starts=args.starts,
+        profiles=_names(args.profile),
+        checks=not args.no_checks,
+        explain=args.explain,
+        material=args.material,
+        checkpoint=out / "checkpoint.json",
+        resume=args.resume,
         progress=True,
     )
     write_report(fit, out)
@@ -88,7 +187,24 @@ def run(args) -> int:
         print((out / "parameters.json").read_text(encoding="utf-8"))
     else:
         print(f"\n{summary(fit)}\nparameters, report and plots are in {out}")
+    if fit.result == "interrupted":
+        note("interrupted; the same command with --resume goes on from here")
     return 0
+
+
+def _names(text: str | None) -> tuple[str, ...]:
+    return () if text is None else tuple(x.strip() for x in text.split(","))
+
+
+def _bound(text: str) -> tuple[str, tuple[float, float]]:
+    name, _, range_ = text.partition("=")
+    try:
+        low, high = (float(x) for x in range_.split(":"))
+    except ValueError:
+        raise UsageError(
+            f"--bounds {text}: expected NAME=LOW:HIGH, such as young_modulus=1e5:1e6"
+        ) from None
+    return name.strip(), (low, high)
 
 
 def _recordings(args, paths, scene):
@@ -109,14 +225,46 @@ def _recordings(args, paths, scene):
     if options and not any(is_c3d):
         names = ", ".join(f"--{name.replace('_', '-')}" for name in options)
         raise UsageError(f"{names}: for .c3d files only, and there is none; leave it out")
-    recordings = [
-        load_recording(path, scene, **(options if c3d else {}))
-        for path, c3d in zip(paths, is_c3d, strict=True)
-    ]
-    for recording in recordings:
-        for assumption in recording.notes:
-            note(f"{recording.name}: {assumption}")
-    return recordings if args.window is None else [r.window(*args.window) for r in recordings]
+    recordings = []
+    for path, c3d in zip(paths, is_c3d, strict=True):
+        mapping = args.mapping
+        beside = Path(path).with_suffix(".map.toml")
+        if mapping is None and beside.exists():
+            mapping = beside
+        own = options if c3d and mapping is None else {}
+        recordings.append(load_recording(path, scene, mapping=mapping, **own))
+    return recordings
+
+
+def _conditioned(recordings, conditions):
+    """The recordings with the conditions of the command line, a value for each of them."""
+    for text in conditions:
+        name, _, values = text.partition("=")
+        try:
+            numbers = [float(x) for x in values.split(",")]
+        except ValueError:
+            numbers = []
+        if len(numbers) != len(recordings):
+            raise UsageError(
+                f"--condition {text}: expected NAME= and {len(recordings)} "
+                f"number{'s'[: len(recordings) != 1]}, one for each recording"
+            )
+        recordings = [
+            replace(r, conditions={**r.conditions, name.strip(): value})
+            for r, value in zip(recordings, numbers, strict=True)
+        ]
+    return recordings
+
+
+def _cut(args, recordings):
+    """The parts of the recordings that --window and --split ask for."""
+    from calibration.windows import split
+
+    if args.window is not None:
+        recordings = [r.window(*args.window) for r in recordings]
+    if args.split is not None:
+        recordings = [part for r in recordings for part in split(r, *args.split)]
+    return recordings
 
 
 def _example():

@@ -15,6 +15,7 @@ from calibration.examples import example_paths
 from calibration.model import Motion, tip_at
 from calibration.parameters import with_values
 from calibration.recording import write_log
+from calibration.setup import Setup
 
 # The truth, as factors of the values in robot.toml.
 TRUTH = {"young_modulus": 1.4, "bending_damping": 2.0, "drag_coefficient": 2.0}
@@ -43,12 +44,14 @@ def main() -> None:
     jax.config.update("jax_enable_x64", True)
     scene_path, (log_path,) = example_paths()
     scene = sr.load_scene(scene_path)
-    truth = with_values(scene, tuple(TRUTH), jnp.log(jnp.array(list(TRUTH.values()))))
+    factors = jnp.log(jnp.array(list(TRUTH.values())))
+    truth = with_values(Setup(scene), tuple(TRUTH), factors).scene
     # Logged values are rounded, and are what acts.
     times = np.arange(0, _DURATION + _INTERVAL / 2, _INTERVAL).round(6)
     tensions, pressures = (x.round(6) for x in inputs(times))
-    middles = _DT * (np.arange(round(_DURATION / _DT)) + 0.5)
-    resample = lambda x: np.stack([np.interp(middles, times, c) for c in x.T], axis=1)
+    # An input that varies is given at the end of each step.
+    ends = _DT * np.arange(1, round(_DURATION / _DT) + 1)
+    resample = lambda x: np.stack([np.interp(ends, times, c) for c in x.T], axis=1)
     motion = sr.simulate(
         truth,
         _DT,
@@ -57,7 +60,7 @@ def main() -> None:
         scheme=sr.SDIRK(order=4),
         method=sr.Collocation(intervals=16, order=6),
     )
-    seen = Motion(motion.tip_positions, motion.tip_velocities, motion.result)
+    seen = Motion(motion.tip_positions, motion.tip_velocities, motion.positions, motion.result)
     tip = np.asarray(tip_at(seen, _DT, jnp.asarray(times - TIME_OFFSET)))
     random = np.random.default_rng(20240108)
     tip = tip + NOISE * random.standard_normal(tip.shape)

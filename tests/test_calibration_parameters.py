@@ -1,0 +1,148 @@
+"""Every parameter: its value, its place, and its effect against finite differences."""
+
+from dataclasses import replace
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from beams import SETTINGS
+
+import softrod_jax as sr
+from calibration import Recording
+from calibration.loss import Problem, predict
+from calibration.model import make_batch
+from calibration.parameters import catalogue, choose, prepared, with_values
+from calibration.scales import Between, Factor, Shift
+from calibration.selection import Selection
+from calibration.setup import Setup, rotated
+from calibration.unknowns import choose_unknowns
+from softrod_jax.scene import as_arrays
+
+CLAMP = np.array([0.9, 0.1, 0.3, -0.2]) / np.linalg.norm([0.9, 0.1, 0.3, -0.2])
+
+
+def robot():
+    scene = sr.hybrid_robot(gravity=jnp.array([-9.81, 0.5, 0.0]))
+    return as_arrays(
+        replace(
+            scene,
+            young_modulus=2e5,
+            shear_damping=1e-3,
+            shear_correction=0.9,
+            payload=sr.Payload(2e-3),
+            chambers=sr.Chambers(jnp.array([7e-6]), jnp.array([[1e-3, 0.0]])),
+            base_quaternion=jnp.asarray(CLAMP),
+        )
+    )
+
+
+def test_scales_go_there_and_back():
+    for scale, initial, value in (
+        (Factor(), 2.0, 3.0),
+        (Between(-1.0, 0.5), 0.3, 0.45),
+        (Shift(0.01), 0.2, -0.1),
+    ):
+        assert float(scale.value(initial, 0.0)) == pytest.approx(initial)
+        assert float(scale.value(initial, scale.theta(initial, value))) == pytest.approx(value)
+        step, moved = scale.limited(1e-3)
+        assert step == pytest.approx(moved, rel=1e-3)
+    with pytest.raises(ValueError, match="above 0"):
+        Factor().theta(1.0, -1.0)
+    with pytest.raises(ValueError, match="between"):
+        Between(-1.0, 0.5).theta(0.3, 0.5)
+
+
+def test_at_theta_zero_nothing_changes():
+    scene = robot()
+    known, _ = catalogue(scene)
+    setup = prepared(scene, known)
+    moved = with_values(setup, tuple(known), np.zeros(len(known)))
+    for name, parameter in known.items():
+        np.testing.assert_allclose(parameter.get(moved), parameter.get(setup), err_msg=name)
+
+
+def test_groups_stand_for_their_members():
+    assert choose(robot(), ["sensor_offset"]) == tuple(f"sensor_offset_{a}" for a in "xyz")
+    # A turn about gravity changes nothing, and is not fitted.
+    assert choose(robot(), "gravity_tilt") == ("gravity_tilt_y", "gravity_tilt_z")
+    assert choose(robot(), "tendon_position")[:3] == (
+        "tendon_position_1_x", "tendon_position_1_y", "tendon_position_2_x",
+    )  # fmt: skip
+
+
+def test_a_setup_turns_gravity_and_clamp():
+    scene = robot()
+    setup = Setup(
+        scene,
+        gravity_tilt=jnp.array([0.0, 0.0, np.pi / 2]),
+        clamp_rotation=jnp.array([0.0, np.pi / 2, 0.0]),
+        clamp_shift=jnp.array([0.1, 0.0, 0.0]),
+    )
+    turned = setup.simulated_scene()
+    np.testing.assert_allclose(turned.gravity, [-0.5, -9.81, 0.0], atol=1e-7)
+    axis = rotated(scene.base_quaternion, jnp.array([0.0, 0.0, 1.0]))
+    expected = [axis[2], axis[1], -axis[0]]
+    np.testing.assert_allclose(
+        rotated(turned.base_quaternion, jnp.array([0.0, 0.0, 1.0])), expected, atol=1e-7
+    )
+    np.testing.assert_allclose(turned.base_position, [0.1, 0.0, 0.0])
+    tensions = jnp.ones((2, 3))
+    assert setup.arriving(tensions) is tensions
+    weak = Setup(scene, tendon_efficiency=jnp.array([0.5, 1.0, 1.0]))
+    np.testing.assert_allclose(weak.arriving(tensions)[1], [0.5, 1.0, 1.0])
+
+
+def problem(scene, names, inputs):
+    steps = 10
+    times = np.arange(steps + 1) / 100
+    tip = np.zeros((steps + 1, 3)) + np.asarray([0.0, 0.0, 0.1])
+    ramp = np.linspace(0, 1, steps + 1)[:, None]
+    recording = Recording(
+        times,
+        0.2 * ramp * [1.0, 0.3, 0.2] if inputs else None,
+        2e4 * ramp if inputs else None,
+        tip,
+    )
+    setup, unknowns = choose_unknowns(scene, [recording], ["a"], names, (), {})
+    selection = Selection(0.0, 0.1, "all")
+    batch, clocks = make_batch(scene, [recording], [selection], False, None, {})
+    return Problem(setup, batch, clocks, unknowns, False, SETTINGS["scheme"], SETTINGS["method"])
+
+
+@pytest.mark.parametrize("inputs", [pytest.param(True, marks=pytest.mark.long), False])
+def test_sensitivities_are_finite_differences(inputs):
+    scene = robot()
+    if not inputs:
+        scene = replace(scene, tendons=None, chambers=None)
+    known, _ = catalogue(scene)
+    others = ("tendon_offset", "tendon_efficiency", "chamber_area")  # the same, all together
+    names = tuple(n for n in known if n not in others)
+    assert ("release_duration" in names) == (not inputs)
+    if not inputs:
+        names = ("release_duration", "payload_mass")
+    fit = problem(scene, names, inputs)
+    x = fit.start() + 0.01
+    point = fit.at(x)
+    assert point.ok
+    J = point.jacobian
+    for i, name in enumerate(names):
+        step = 1e-4 * np.eye(len(x))[i]
+        ends = [
+            np.asarray(
+                predict(
+                    fit.setup,
+                    fit.batch,
+                    jnp.asarray(fit.unknowns.theta(x + sign * step)),
+                    jnp.zeros(1),
+                    names,
+                    fit.scheme,
+                    fit.method,
+                )[0]
+            ).ravel()
+            for sign in (1, -1)
+        ]
+        difference = (ends[0] - ends[1]) / 2e-4
+        scale = np.max(np.abs(difference))
+        np.testing.assert_allclose(J[:, i], difference, atol=1e-3 * scale + 1e-10, err_msg=name)
+        # Each of them does something.
+        assert scale > 1e-9, name
