@@ -6,6 +6,7 @@ damped and oscillating rods alike, and sees both kinds of error at once. It fail
 motions miss an oscillation that is faster than their steps, and lasts.
 """
 
+import itertools
 import math
 from typing import Callable
 
@@ -43,34 +44,38 @@ def run_within(
     `inaccurate` where no care that is offered is enough.
     """
     length, care = float(rod.L), _first_care(rod, dt, scheme, substeps, tolerance)
-    coarse = run(care, method)
-    excess = 1.0
-    while True:
-        coarse_method = method
-        if not fixed_grid and _needs_finer_grid(coarse, method, tolerance):
+    last, excess, error = run(care, method), 1.0, None
+    good, good_method = (last if last.result == RESULTS.successful else None), method
+    for attempt in itertools.count():
+        if attempt > 0 and _is_last(care, tolerance):
+            break
+        before = method
+        if not fixed_grid and _needs_finer_grid(last, method, tolerance):
             method = method.finer()
         # Where the grid was to blame, too, stricter steps than these may be for nothing.
-        care = _more_care(care, excess if method == coarse_method else 1.0)
-        fine = run(care, method)
-        moved = np.linalg.norm(fine.tip_positions - coarse.tip_positions, axis=-1)[1:] / length
-        error = np.maximum.accumulate(moved)
-        codes = {int(coarse.result), int(fine.result)}
-        if codes == {RESULTS.successful} and error[-1] <= tolerance:
-            if coarse_method != method or not np.max(fine.stats["error"]) > method.max_error:
-                return _with(fine, error, method)
-        if len(codes) == 1 and not codes & {RESULTS.successful, *_CURABLE}:
-            return _with(fine, error, method)  # twice the same answer: there is none
-        if _is_last(care, tolerance):
-            break
-        solved = codes == {RESULTS.successful}
-        coarse, excess = fine, error[-1] / tolerance if solved else 1.0
-    if fine.result == RESULTS.successful:
-        fine = eqx.tree_at(
+        care = _more_care(care, excess if method == before else 1.0)
+        code, last, excess = last.result, run(care, method), 1.0
+        if last.result != RESULTS.successful:
+            if last.result == code and int(code) not in _CURABLE:
+                break  # twice the same answer: there is none
+            continue
+        if good is not None:
+            moved = np.linalg.norm(last.tip_positions - good.tip_positions, axis=-1)[1:]
+            error = np.maximum.accumulate(moved) / length
+            excess = error[-1] / tolerance
+            # A front is rough on any grid, and then only another grid can tell.
+            if excess <= 1 and (method != good_method or _is_smooth(last, method)):
+                return _with(last, error, method)
+        good, good_method = last, method
+    if last.result == RESULTS.successful:
+        # Solved, but never twice the same.
+        step = 0 if error is None else np.argmax(error > min(tolerance, error[-1]))
+        last = eqx.tree_at(
             lambda t: (t.result, t.failed_step),
-            fine,
-            (jnp.array(RESULTS.inaccurate, jnp.int32), jnp.argmax(jnp.array(error) > tolerance)),
+            last,
+            (jnp.array(RESULTS.inaccurate, jnp.int32), jnp.array(step)),
         )
-    return _with(fine, error, method)
+    return _with(last, error, method)
 
 
 def _first_care(rod, dt, scheme, substeps, tolerance):
@@ -119,6 +124,12 @@ def _needs_finer_grid(motion, method: Method, tolerance: float) -> bool:
     return bool(rough) or int(motion.result) in _CURABLE
 
 
+def _is_smooth(motion, method: Method) -> bool:
+    return not np.max(motion.stats["error"]) > method.max_error
+
+
 def _with(motion, error, method):
-    stats = {**motion.stats, "time_error": error, "intervals": method.intervals}
+    stats = {**motion.stats, "intervals": method.intervals}
+    if error is not None:
+        stats["time_error"] = error
     return eqx.tree_at(lambda t: t.stats, motion, stats)
