@@ -126,10 +126,10 @@ def newton(
         at_rounding = full & (state.size <= _ROUNDING) & (size <= 10 * _ROUNDING)
         accept = jnp.isfinite(size) & (state.fresh | falls | small | at_rounding)
         converged = accept & full & (small | (at_rounding & ~falls & ~state.fresh))
-        # Borrowed factors have to show that they serve, and if not it is no fault of the problem.
-        converged &= ~(state.borrowed & state.fresh)
-        useless = state.borrowed & ~accept
         ratio = size / state.size
+        # Borrowed factors have to show that they serve, and if not it is no fault of the problem.
+        converged &= ~state.borrowed | (~state.fresh & (ratio < _REUSE))
+        useless = state.borrowed & ~accept
         damping = jnp.where(accept, jnp.minimum(1.0, 4 * state.damping), state.damping / 4)
         failed = ~accept & ~useless & (state.fresh | (damping < options.smallest_damping))
         result = jnp.where(failed, RESULTS.diverged, RESULTS.max_iterations)

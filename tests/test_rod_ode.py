@@ -7,7 +7,7 @@ import pytest
 from paper_form import balance, material_wrench
 
 import softrod_jax as sr
-from softrod_jax.constitutive import compliance, local_problem, recover_strain
+from softrod_jax.constitutive import compliance, imbalance, local_problem, recover_strain
 from softrod_jax.rod import make_rod
 from softrod_jax.rod_ode import (
     History,
@@ -170,6 +170,35 @@ def test_strains_minimise_the_energy():
     hessian = jax.vmap(jax.hessian(energy))(x, wrench)
     product = np.einsum("pij,pjk->pik", compliance(problem, x), hessian)
     np.testing.assert_allclose(product, np.broadcast_to(np.eye(6), product.shape), atol=1e-9)
+
+
+def test_the_viscosity_of_fronts_follows_from_a_potential():
+    """tau_i mu |l_t|^3 / (3 c0) for each tendon's path, on top of the energy."""
+    plain = make_rod(full_scene(), TENSIONS, PRESSURES)
+    rod = make_rod(full_scene(), TENSIONS, PRESSURES, spacing=2e-2)
+    rng = np.random.default_rng(8)
+    wrench = jnp.array(rng.normal(size=(20, 6))) * jnp.array([0.05] * 3 + [1e-4] * 3)
+    c0, history = jnp.array(800.0), jnp.array(rng.normal(size=(20, 6))) * 5
+    history = history.at[:, 2].add(-800.0)  # rates about as large as those of a front
+    arguments = 0.0, wrench, c0, history
+    problem, without = local_problem(rod, *arguments), local_problem(plain, *arguments)
+    x, solvable = recover_strain(problem, jnp.array([0.0, 0, 1, 0, 0, 0]))
+    assert bool(solvable)
+
+    def potential(x, history):
+        rate = c0 * x + history
+        total = 0.0
+        for tau, (a, b) in zip(TENSIONS, full_scene().tendons.offsets, strict=True):
+            l_t = rate[:3] + jnp.cross(rate[3:], jnp.array([a, b, 0.0]))
+            total += rod.front_viscosity * tau * jnp.linalg.norm(l_t) ** 3 / (3 * c0)
+        return total
+
+    force = jax.vmap(jax.grad(potential))(x, history)
+    assert np.abs(force[:, 2]).max() > 0.01 * np.abs(TENSIONS).max()  # it does something
+    np.testing.assert_allclose(imbalance(without, x) + force, 0, atol=1e-10)
+    stiffness = jax.vmap(jax.hessian(potential))(x, history)
+    added = jnp.linalg.inv(compliance(problem, x)) - jnp.linalg.inv(compliance(without, x))
+    np.testing.assert_allclose(added, stiffness, rtol=1e-6, atol=1e-8)
 
 
 def test_second_derivative_of_the_strains():

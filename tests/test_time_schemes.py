@@ -56,6 +56,25 @@ def test_order(scheme, order):
     assert scheme.order == order
 
 
+@pytest.mark.parametrize("order", [2, 3, 4])
+def test_the_local_error_falls_with_the_order(order):
+    """It is that of a scheme one order lower, for the fields and for their integrals."""
+    matrix, y0 = jnp.array([[-0.1, 3.0], [-3.0, -0.2]]), jnp.array([1.0, 0.5])
+    scheme = sr.SDIRK(order)
+    solve = lambda c0, history, at, carry: (
+        jnp.linalg.solve(matrix - c0 * jnp.eye(2), history), carry
+    )
+    sizes = []
+    for dt in (0.02, 0.01):
+        coefficients = scheme.coefficients(jnp.array(dt), jnp.zeros(1, bool))[0]
+        (y,), _, errors = scheme.step(scheme.start(y0, y0), coefficients, solve, Carry(y0))
+        sizes.append([float(jnp.linalg.norm(e)) for e in errors])
+        exact = jax.scipy.linalg.expm(dt * matrix) @ y0
+        assert jnp.linalg.norm(y - exact) < 0.2 * sizes[-1][0]
+    fall = np.log2(np.array(sizes[0]) / sizes[1])
+    np.testing.assert_allclose(fall, order, atol=0.1)
+
+
 @pytest.mark.parametrize(
     "alpha, zeta",
     [

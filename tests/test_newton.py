@@ -1,0 +1,76 @@
+"""Newton's method: convergence, damping, and factors borrowed from another problem."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import softrod_jax as sr
+from softrod_jax.newton import Borrowed, NewtonOptions, newton
+
+
+def equations(x):
+    """Zero at (1, 2); far from linear."""
+    a, b = x
+    return jnp.stack([a**3 + a * b - 3, jnp.exp(b - 2) * a - 1])
+
+
+def solve(y, borrowed=None, evaluate=equations, **options):
+    return newton(
+        evaluate,
+        jax.jacfwd(evaluate),
+        lambda J, F: -jnp.linalg.solve(J, F),
+        jnp.array(y),
+        1.0,
+        NewtonOptions(**options),
+        borrowed=borrowed,
+    )
+
+
+def lend(at, usable=True):
+    return Borrowed(jax.jacfwd(equations)(jnp.array(at)), jnp.array(usable))
+
+
+@pytest.mark.parametrize(
+    "borrowed",
+    [
+        None,
+        lend([1.0, 2.0]),
+        lend([1.05, 1.9]),
+        lend([2.0, -1.0]),  # of little use
+        Borrowed(-lend([1.0, 2.0]).factors, jnp.array(True)),  # leads away
+        Borrowed(jnp.zeros((2, 2)), jnp.array(True)),  # gives no numbers
+        Borrowed(jnp.zeros((2, 2)), jnp.array(False)),  # says so itself
+    ],
+    ids=["none", "exact", "near", "far", "wrong", "singular", "not_usable"],
+)
+def test_borrowed_factors_change_the_way_and_not_the_answer(borrowed):
+    end = solve([1.2, 1.7], borrowed)
+    assert int(end.result) == sr.RESULTS.successful
+    np.testing.assert_allclose(end.y, [1.0, 2.0], atol=1e-9)
+
+
+def test_factors_that_serve_are_kept():
+    end = solve([1.001, 1.999], lend([1.0, 2.0]))
+    np.testing.assert_array_equal(end.factors, lend([1.0, 2.0]).factors)
+    assert float(end.contraction) < 1e-2
+
+
+def test_borrowed_factors_do_not_make_a_start_the_solution():
+    """A huge Jacobian makes the first correction tiny wherever it is."""
+    end = solve([1.2, 1.7], Borrowed(1e13 * jnp.eye(2), jnp.array(True)))
+    assert int(end.result) != sr.RESULTS.successful or np.allclose(end.y, [1.0, 2.0], atol=1e-9)
+
+
+def test_a_batch_is_a_loop():
+    starts = jnp.array([[1.2, 1.7], [0.9, 2.2], [3.0, 0.0]])
+    batch = jax.vmap(lambda y: solve(y, lend([1.0, 2.0])))(starts)
+    for k, y in enumerate(starts):
+        one = solve(y, lend([1.0, 2.0]))
+        assert int(batch.result[k]) == int(one.result)
+        np.testing.assert_allclose(batch.y[k], one.y, atol=1e-12)
+
+
+def test_no_solution_is_no_answer():
+    end = solve([0.5], evaluate=lambda x: x**2 + 1)
+    assert int(end.result) in (sr.RESULTS.diverged, sr.RESULTS.max_iterations)
