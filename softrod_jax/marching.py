@@ -31,8 +31,9 @@ from softrod_jax.time_schemes import jumps
 # Substeps of one step at most, and the shortest one, where errors choose them.
 MOST_SUBSTEPS, _SHORTEST = 2048, 1e-7
 # A substep in which a wave runs this part of the way from point to point need not be shorter: what
-# error it has is that of the grid, and another grid tells.
-_RUN = 0.1
+# error it has is that of the grid, and another grid tells. Much shorter ones do harm: symmetric
+# collocation says nothing of how strains that alternate from point to point change with time.
+_RUN = 0.5
 # How a substep's length follows from the error of the one before: a little cautiously, and by
 # these factors at most. After a substep that has no solution: by the last one.
 _CAUTION, _LEAST, _MOST, _AFTER_FAILURE = 0.9, 0.2, 4.0, 0.25
@@ -195,7 +196,7 @@ def march(scene, dt, inputs, strain, steps, substeps, scheme, method, options) -
                 jnp.maximum(part * jnp.clip(factor, _LEAST, _MOST), jnp.minimum(part, shortest)),
                 part * _AFTER_FAILURE,
             )
-            hopeless = ~solved & (next_part < _SHORTEST) | (tried.result == RESULTS.bad_input)
+            hopeless = ~solved & (next_part < jnp.maximum(_SHORTEST, shortest / 64)) | (tried.result == RESULTS.bad_input)
             kept = jax.tree.map(lambda a, b: jnp.where(ok, a, b), new, (memory, running))
             after = kept[1]._replace(
                 # A substep cut short by the end of the step says little of the next one.
