@@ -7,9 +7,9 @@ slenderness L/r 5 to 150, Young's modulus 3e4 to 2e11 Pa, density 900 to 8000 kg
 B/EI 1e-5 to 3e-2 s, dt 1e-5 to 5e-2 s, gravity up to rho A g L^3 / EI = 50, tensions up to 90 %
 of where a tendon's path vanishes, pressures, tip loads, payloads and drag; inputs step or ramp.
 Only motions that would ring for more than 50 periods are not drawn: they take long, and no more.
-Accuracy is asked for with `tolerance=`, as a user would. The refined solution has a finer grid and
-a quarter of the tolerance. Scenes that have no answer, a wrong one, or take long are printed; in the
-end, counts. With --write-readme the map and the counts go into the README.
+Accuracy is asked for with `tolerance=`, as a user would. The refined solution has a finer grid
+and a quarter of the tolerance. Scenes that have no answer, a wrong one, or take long are printed;
+in the end, counts. With --write-readme the map and the counts go into the README.
 """
 
 import argparse
@@ -38,6 +38,8 @@ TURNS = {"equilibrium": 3.0, "motion": 1.0}
 
 
 PERIODS = 50
+# In the map, scenes without a load or an error are drawn at the edge.
+LOWEST = {"load": 1e-3, "error": 1e-12}
 
 
 def periods(frequency, damping, dt):
@@ -193,8 +195,8 @@ def draw(rows):
         here = [row for row in rows if row["kind"] == kind]
         good = [row for row in here if is_solved(row) and row["refined"] == "successful"]
         bad = [row for row in here if row not in good]
-        column = lambda name, rows: np.array([max(row[name], 1e-3 * (name == "load")) for row in rows])
-        errors = np.log10(np.maximum(column("error", good), 1e-12))
+        column = lambda name, rows: np.maximum([row[name] for row in rows], LOWEST.get(name, 0.0))
+        errors = np.log10(column("error", good))
         dots = axis.scatter(
             column(x, good), column(y, good), c=errors, s=9, cmap="viridis", vmin=-9, vmax=-2
         )
@@ -244,7 +246,8 @@ def main():
     for row in run(options.scenes, options.seed, options.processes):
         rows.append(row)
         if is_remarkable(row):
-            print({n: f"{v:.3g}" if isinstance(v, float) else v for n, v in row.items()}, flush=True)
+            shown = {n: f"{v:.3g}" if isinstance(v, float) else v for n, v in row.items()}
+            print(shown, flush=True)
     print(f"{(time.perf_counter() - begin) / 60:.1f} min, seed {options.seed}")
     matplotlib.use("agg")
     draw(rows).savefig(FIGURE, dpi=130)

@@ -30,7 +30,7 @@ _AHEAD = 0.1
 
 
 class Before(NamedTuple):
-    """The rod under the loads that a step comes from, the rates of its strains, the last factors."""
+    """The rod under the loads that a step comes from, its strains' rates, the last factors."""
 
     loads: Rod
     rate: Float[Array, "points 6"]

@@ -196,7 +196,8 @@ def march(scene, dt, inputs, strain, steps, substeps, scheme, method, options) -
                 jnp.maximum(part * jnp.clip(factor, _LEAST, _MOST), jnp.minimum(part, shortest)),
                 part * _AFTER_FAILURE,
             )
-            hopeless = ~solved & (next_part < jnp.maximum(_SHORTEST, shortest / 64)) | (tried.result == RESULTS.bad_input)
+            too_short = next_part < jnp.maximum(_SHORTEST, shortest / 64)
+            hopeless = (~solved & too_short) | (tried.result == RESULTS.bad_input)
             kept = jax.tree.map(lambda a, b: jnp.where(ok, a, b), new, (memory, running))
             after = kept[1]._replace(
                 # A substep cut short by the end of the step says little of the next one.
@@ -296,9 +297,9 @@ class _Course(NamedTuple):
 
 
 def _course(inputs, steps: int, from_rest: bool) -> tuple[_Course, Bool[Array, "steps"]]:
-    """The course of the inputs, and at the beginning of which steps any of them jumps; the first does.
+    """The course of the inputs, and at the beginning of which steps any of them jumps.
 
-    Before the first step all are zero, or, where the motion begins in an equilibrium, what they
+    At the first step all do. Before the first step all are zero, or, where the motion begins in an equilibrium, what they
     are in that step.
     """
     rows = [jnp.all(jnp.isfinite(x), axis=1) for x in jax.tree.leaves(inputs)]
