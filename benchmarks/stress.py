@@ -8,7 +8,7 @@ B/EI 1e-5 to 3e-2 s, dt 1e-5 to 5e-2 s, gravity up to rho A g L^3 / EI = 50, ten
 of where a tendon's path vanishes, pressures, tip loads, payloads and drag; inputs step or ramp.
 Only motions that would ring for more than 50 periods are not drawn: they take long, and no more.
 Accuracy is asked for with `tolerance=`, as a user would. The refined solution has a finer grid
-and a quarter of the tolerance. Scenes that have no answer, a wrong one, or take long are printed;
+and half the tolerance. Scenes that have no answer, a wrong one, or take long are printed;
 in the end, counts. With --write-readme the map and the counts go into the README.
 """
 
@@ -127,7 +127,7 @@ def try_motion(scene, tensions, pressures, dt, ramp):
     start = time.perf_counter()
     motion = jax.block_until_ready(run(GRIDS[0], TOLERANCE))
     took = time.perf_counter() - start
-    refined = run(GRIDS[1], TOLERANCE / 4)
+    refined = run(GRIDS[1], TOLERANCE / 2)
     moved = jnp.linalg.norm(motion.tip_positions - refined.tip_positions, axis=1)
     return motion.result, refined.result, jnp.max(moved) / scene.length, took, motion.stats
 
