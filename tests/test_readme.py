@@ -9,6 +9,7 @@ import sys
 import tomllib
 from pathlib import Path
 
+import jax
 import numpy as np
 import pytest
 
@@ -91,7 +92,7 @@ def test_the_scene_file(folder):
 def test_the_code_and_the_commands(folder):
     """In the order of the page: what one writes, the next may read."""
     commands = {c.split()[1]: shlex.split(c) for c in blocks("sh")[2].splitlines()}
-    environment = {**os.environ, "JAX_COMPILATION_CACHE_DIR": str(folder / "cache")}
+    environment = {**os.environ, "JAX_COMPILATION_CACHE_DIR": jax.config.jax_compilation_cache_dir}
 
     def run(*line):
         done = subprocess.run(
