@@ -39,7 +39,7 @@ _RUN = 0.5
 _CAUTION, _LEAST, _MOST, _AFTER_FAILURE = 0.9, 0.2, 4.0, 0.25
 # The factors of a Jacobian serve the next solve, too, where corrections fell this fast with them.
 # One step of the paper's rod costs 0.5 to 0.75 ms then, and 1.1 to 1.3 ms with new ones each time.
-_LEND = 1e-2
+_LEND = 0.05
 
 
 class LocalError(NamedTuple):

@@ -30,7 +30,7 @@ class NewtonOptions(eqx.Module):
 
 
 # Keep the factors while each correction is at most this fraction of the one before.
-_REUSE = 0.1
+_REUSE = 0.25
 # A correction this small that no longer falls is rounding error.
 _ROUNDING = 1e-6
 
@@ -122,11 +122,14 @@ def newton(
         size = size_of(step)
         full = state.fresh | (state.damping == 1.0)
         falls = size <= (1 - state.damping / 4) * state.size
-        small = size <= options.tolerance
+        ratio = size / state.size
+        # What the corrections to come sum up to while each is this fraction of the last one.
+        falling = full & ~state.fresh & (ratio < 0.5)
+        left = jnp.where(falling, size * ratio / (1 - ratio), size)
+        small = left <= options.tolerance
         at_rounding = full & (state.size <= _ROUNDING) & (size <= 10 * _ROUNDING)
         accept = jnp.isfinite(size) & (state.fresh | falls | small | at_rounding)
         converged = accept & full & (small | (at_rounding & ~falls & ~state.fresh))
-        ratio = size / state.size
         # Borrowed factors have to show that they serve, and if not it is no fault of the problem.
         converged &= ~state.borrowed | (~state.fresh & (ratio < _REUSE))
         useless = state.borrowed & ~accept
