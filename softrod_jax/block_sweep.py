@@ -23,15 +23,16 @@ from jaxtyping import Array, Float
 
 
 class Factors(NamedTuple):
-    """What the sweeps need, for any right-hand side."""
+    """What the sweeps need, for any right-hand side. `S` is the impedance seen at node k + 1."""
 
     inverse: Float[Array, "m n n"]  # of [right_a, left_b]
-    T12: Float[Array, "m a 6"]
-    T22: Float[Array, "m 6 6"]
     T11: Float[Array, "m a a"]
-    S: Float[Array, "m 6 a"]  # impedance seen at node k + 1
+    T12: Float[Array, "m a 6"]
+    S: Float[Array, "m 6 a"]
     W: Float[Array, "m 6 6"]  # (I - S T12)^-1
+    inwards: Float[Array, "m 6 6"]  # T22 W: g_k by g_{k+1}
     V: Float[Array, "m 6 a"]  # W S T11: db_{k+1} by da_k
+    outwards: Float[Array, "m a a"]  # T11 + T12 V: da_{k+1} by da_k
 
 
 def factorise(left: Float[Array, "m n n"], right: Float[Array, "m n n"], tip_slope) -> Factors:
@@ -49,7 +50,7 @@ def factorise(left: Float[Array, "m n n"], right: Float[Array, "m n n"], tip_slo
         return T21 + T22 @ V, (S, W, V)
 
     _, (S, W, V) = jax.lax.scan(inwards, tip_slope, (T11, T12, T21, T22), reverse=True)
-    return Factors(inverse, T12, T22, T11, S, W, V)
+    return Factors(inverse, T11, T12, S, W, T22 @ W, V, T11 + T12 @ V)
 
 
 def _inverse(A: Float[Array, "*batch n n"]):
@@ -89,26 +90,25 @@ def solve_sweeps(
 ) -> Float[Array, "nodes n"]:
     """(da, db) at every node; linear in (defect, tip_rhs)."""
     a = factors.T11.shape[-1]
-    t = -jnp.einsum("kij,kj->ki", factors.inverse, defect)
+    t = -_apply(factors.inverse, defect)
     t1, t2 = t[:, :a], t[:, a:]
 
-    def inwards(g, k):
-        S, W, T22, t1, t2 = k
-        V0 = W @ (S @ t1 + g)
-        return t2 + T22 @ V0, V0
+    # One small product a node in turn; all else for all nodes at once.
+    def sweep(x, k):
+        matrix, rhs = k
+        return matrix @ x + rhs, x
 
-    g0, V0 = jax.lax.scan(
-        inwards, tip_rhs, (factors.S, factors.W, factors.T22, t1, t2), reverse=True
-    )
-
-    def outwards(da, k):
-        T11, T12, V, V0, t1 = k
-        db = V @ da + V0
-        da = T11 @ da + T12 @ db + t1
-        return da, jnp.concatenate([da, db])
-
+    loads = t2 + _apply(factors.inwards, _apply(factors.S, t1))
+    g0, g = jax.lax.scan(sweep, tip_rhs, (factors.inwards, loads), reverse=True)
+    V0 = _apply(factors.W, _apply(factors.S, t1) + g)
+    shifts = t1 + _apply(factors.T12, V0)
     base = jnp.zeros(a, defect.dtype)
-    _, rest = jax.lax.scan(
-        outwards, base, (factors.T11, factors.T12, factors.V, V0, t1)
+    da_n, da = jax.lax.scan(sweep, base, (factors.outwards, shifts))
+    db = _apply(factors.V, da) + V0
+    return jnp.concatenate(
+        [jnp.concatenate([da, da_n[None]]), jnp.concatenate([g0[None], db])], -1
     )
-    return jnp.concatenate([jnp.concatenate([base, g0])[None], rest])
+
+
+def _apply(matrices: Float[Array, "m i j"], vectors: Float[Array, "m j"]):
+    return jnp.einsum("kij,kj->ki", matrices, vectors)

@@ -216,4 +216,4 @@ class _Residual(NamedTuple):
 
 
 def _apply(matrices: Float[Array, "m i j"], vectors: Float[Array, "m j"]):
-    return jnp.sum(matrices * vectors[..., None, :], -1)
+    return jnp.einsum("kij,kj->ki", matrices, vectors)

@@ -105,8 +105,11 @@ def newton(
         if borrowed is None:
             factors = factorise(state.y)
         else:
-            factors = jax.lax.cond(
-                state.borrowed, lambda y, old: old, lambda y, old: factorise(y), state.y, factors
+            # At most once, as a branch would; but in a batch only if any of its samples needs it.
+            _, factors = jax.lax.while_loop(
+                lambda carry: carry[0],
+                lambda carry: (jnp.array(False), factorise(state.y)),
+                (~state.borrowed, factors),
             )
         state = state._replace(
             step=jnp.zeros_like(state.step), fresh=jnp.array(True), stale=jnp.array(False)

@@ -113,8 +113,9 @@ def rod_ode_jacobian(
     Written out, because 16 forward tangents of `rod_ode` cost several times as much.
     """
     f_y, f_strain = _partial_derivatives(y, strain, rod, layout, history)
-    C = compliance(pointwise_problem(s, y, rod, history), strain)
-    by_wrench = f_strain @ C
+    problem = pointwise_problem(s, y, rod, history)
+    C = compliance(problem, strain)
+    by_wrench = f_strain / problem.k if problem.tau is None else f_strain @ C
     return Jacobian(f_y.at[..., -6:].add(by_wrench), C, by_wrench)
 
 
