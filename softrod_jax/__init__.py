@@ -1,5 +1,6 @@
 """softrod_jax: a differentiable dynamic Cosserat rod of soft robots."""
 
+from softrod_jax.batches import spread as spread
 from softrod_jax.collocation import Collocation as Collocation
 from softrod_jax.dynamics import Trajectory as Trajectory
 from softrod_jax.dynamics import simulate as simulate

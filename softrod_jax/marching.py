@@ -29,7 +29,7 @@ from softrod_jax.statics import unloaded_guess
 from softrod_jax.time_schemes import jumps
 
 # Substeps of one step at most, and the shortest one, where errors choose them.
-MOST_SUBSTEPS, _SHORTEST = 2048, 1e-7
+MOST_SUBSTEPS, _SHORTEST = 4096, 1e-7
 # A substep in which a wave runs this part of the way from point to point need not be shorter: what
 # error it has is that of the grid, and another grid tells. Much shorter ones do harm: symmetric
 # collocation says nothing of how strains that alternate from point to point change with time.
