@@ -249,24 +249,29 @@ def _solve_jvp(primals, tangents, *, method, layout, options, search):
     )
     at = jnp.where(ok, U, Equations(method, layout, *inputs, guess.strain).start(guess))
 
-    def equations(dynamic):
-        rod, history = eqx.combine(dynamic, static)
-        if history is not None:
-            history = slow_unless(ok, history)
-        return Equations(method, layout, rod, history, guess.strain)
+    def tangent(dynamic, at, dot):
+        def equations(dynamic):
+            rod, history = eqx.combine(dynamic, static)
+            if history is not None:
+                history = slow_unless(ok, history)
+            return Equations(method, layout, rod, history, guess.strain)
 
-    def by_inputs(dynamic):
-        # The pose of the clamp may depend on the inputs, too.
+        def by_inputs(dynamic):
+            # The pose of the clamp may depend on the inputs, too.
+            here = equations(dynamic)
+            base = here.base()
+            return here.residual(at.at[0, : base.size].set(base)), base
+
+        _, along = jax.linearize(by_inputs, dynamic)
+        F_dot, base_dot = along(dot)
         here = equations(dynamic)
-        base = here.base()
-        return here.residual(at.at[0, : base.size].set(base)), base
+        # A failed sample has no derivative: zero keeps the rest of its batch clean.
+        F_dot = jax.tree.map(lambda x: jnp.where(ok, x, 0.0), F_dot)
+        U_dot = here.correct(here.factorise(at, safe=ok), F_dot)
+        return U_dot.at[0, : layout.base_size].add(jnp.where(ok, base_dot, 0.0))
 
-    _, along = jax.linearize(by_inputs, dynamic)
-    F_dot, base_dot = along(dot)
-    here = equations(dynamic)
-    # A failed sample has no derivative: zero keeps the rest of its batch clean.
-    F_dot = jax.tree.map(lambda x: jnp.where(ok, x, 0.0), F_dot)
-    U_dot = here.correct(here.factorise(at, safe=ok), F_dot)
-    U_dot = U_dot.at[0, : layout.base_size].add(jnp.where(ok, base_dot, 0.0))
+    # In reverse mode a motion keeps the unknowns of each solve, and not their Jacobian's
+    # factors, which are 20 times as much.
+    U_dot = jax.checkpoint(tangent, prevent_cse=False)(dynamic, at, dot)
     none = jax.tree.map(lambda x: None, (found, factors))
     return (U, found, factors), (jnp.where(ok, U_dot, 0.0), *none)
