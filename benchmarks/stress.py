@@ -214,7 +214,7 @@ def draw(rows):
         if bad:
             axis.legend(loc="upper right")
     bar = figure.colorbar(dots, ax=axes)
-    bar.set_label("$\\log_{10}$ of the tip's distance from a refined solution, in lengths")
+    bar.set_label("error of the tip, $\\log_{10}$ of lengths")
     return figure
 
 
