@@ -110,7 +110,7 @@ def test_independent_motions(name, limit):
     [
         # Second order; the limits are the tip errors at the first dt.
         (sr.BDFAlpha(alpha=-0.2), (5e-3, 2.5e-3, 1.25e-3), 3.5, 6.5e-4),
-        (sr.BDFAlpha(alpha=-0.45), (5e-3, 2.5e-3), 3.5, 2.7e-4),
+        (sr.BDFAlpha(alpha=-0.45), (5e-3, 2.5e-3, 1.25e-3), 3.5, 2.7e-4),
         (sr.SDIRK(order=4), (20e-3, 10e-3), 8.0, 7e-5),
     ],
     ids=str,
