@@ -73,7 +73,7 @@ def local_problem(rod: Rod, s, wrench, c0=None, strain_history=None) -> LocalPro
     problem = LocalProblem(k, b, rod.tau, *rod.tendons.routing(s))
     if c0 is None or rod.front_viscosity is None:
         return problem
-    l_h = jnp.sum(_path_maps(problem) * strain_history[..., None, None, :], -1)
+    l_h = _linear_paths(problem.r, strain_history)
     return problem._replace(viscosity=rod.front_viscosity * rod.tau, c0=c0, l_h=l_h)
 
 
@@ -98,9 +98,15 @@ def _path_maps(problem: LocalProblem):
     return jnp.concatenate([jnp.broadcast_to(jnp.eye(3), (*r.shape, 3)), -hat(r)], -1)
 
 
+def _linear_paths(r, x):
+    """v + u x r_i, (*points, tendons, 3)."""
+    v, u = x[..., None, :3], x[..., None, 3:]
+    return v + cross(u, jnp.broadcast_to(r, (*x.shape[:-1], *r.shape)))
+
+
 def _paths(problem: LocalProblem, x):
     """l_i = v + u x r_i + r_i,s, (*points, tendons, 3), and |l_i|."""
-    l = jnp.sum(_path_maps(problem) * x[..., None, None, :], -1)
+    l = _linear_paths(problem.r, x)
     if problem.r_s is not None:
         l = l + problem.r_s
     # The floor keeps derivatives finite on the kink; no converged answer sits there.
@@ -122,21 +128,28 @@ def _pulls(problem: LocalProblem, x):
 
 def imbalance(problem: LocalProblem, x: Strain) -> Strain:
     """The gradient of the energy in x = (v, u), zero at the solution: [N] and [N m]."""
-    pull, _ = _pulls(problem, x)
-    force = problem.k * x + jnp.sum(problem.tau[:, None] * pull, -2) - problem.b
-    if problem.viscosity is None:
-        return force
-    drag, rate = _path_drags(problem, x)
-    return force + jnp.sum((problem.viscosity * rate)[..., None] * drag, -2)
+    l, length = _paths(problem, x)
+    pull = (problem.tau / length)[..., None] * l
+    if problem.viscosity is not None:
+        l_t, rate = _path_rates(problem, l)
+        pull = pull + (problem.viscosity * rate)[..., None] * l_t
+    moment = cross(jnp.broadcast_to(problem.r, pull.shape), pull)
+    total = jnp.concatenate([jnp.sum(pull, -2), jnp.sum(moment, -2)], -1)
+    return problem.k * x + total - problem.b
+
+
+def _path_rates(problem: LocalProblem, l):
+    """l_t and |l_t| from the paths l_i."""
+    # A path that varies with s does not vary with time: r_i,s is not in the rate.
+    change = l if problem.r_s is None else l - problem.r_s
+    l_t = problem.c0 * change + problem.l_h
+    return l_t, jnp.sqrt(jnp.sum(l_t * l_t, -1) + 1e-30)
 
 
 def _path_drags(problem: LocalProblem, x):
-    """l_t.dl/dx, (*points, tendons, 6), and |l_t|, of the rates of the tendons' paths."""
-    B = _path_maps(problem)
-    # A path that varies with s does not vary with time: r_i,s is not in the rate.
-    l_t = problem.c0 * jnp.sum(B * x[..., None, None, :], -1) + problem.l_h
-    rate = jnp.sqrt(jnp.sum(l_t * l_t, -1) + 1e-30)
-    return jnp.sum(B * l_t[..., None], -2), rate
+    """l_t.dl/dx, (*points, tendons, 6), and |l_t|."""
+    l_t, rate = _path_rates(problem, _paths(problem, x)[0])
+    return jnp.sum(_path_maps(problem) * l_t[..., None], -2), rate
 
 
 def _hessian(problem: LocalProblem, x):

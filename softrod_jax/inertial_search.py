@@ -54,36 +54,42 @@ def search_by_inertia(equations: Equations, options: NewtonOptions, U, before: B
 
     `Found.load_steps` counts the parts; ordinary steps take one.
     """
-    c0, strain_h, velocity_h = equations.history
-    held = equations.fields(U)
-    if equations.rod.front_viscosity is not None:
-        # The viscosity of fronts has no slope where nothing moves, and Newton's method no start.
-        ahead = (before.rate - strain_h) / c0 - held.strain
-        size = jnp.maximum(jnp.max(jnp.abs(ahead)) / _AHEAD, 1.0)
-        held = held._replace(strain=held.strain + ahead / size)
-    moving = equations.start(Guess(held.y, held.strain))
-    _, q, w, _, _ = equations.layout.split(held.y)
-    velocity = jnp.concatenate([q, w], -1)
 
-    def on_the_way(at):
+    def at_once(state):
+        """The whole step: its history and loads, and the guess."""
+        return equations.history, equations.rod, state.U
+
+    def on_the_way(state):
+        """The step as far as the next try goes."""
+        c0, strain_h, velocity_h = equations.history
+        held = equations.fields(U)
+        _, q, w, _, _ = equations.layout.split(held.y)
+        velocity = jnp.concatenate([q, w], -1)
+        strain = held.strain
+        if equations.rod.front_viscosity is not None:
+            # That of fronts has no slope where nothing moves, and Newton's method no start.
+            ahead = (before.rate - strain_h) / c0 - strain
+            strain = strain + ahead / jnp.maximum(jnp.max(jnp.abs(ahead)) / _AHEAD, 1.0)
+        at = jnp.minimum(_GOAL, state.done + state.advance)
         part, change = jnp.minimum(at, 1.0), jnp.maximum(at - 1.0, 0.0)
         # c (y - held) + the rate at `held`: with c = c0 the step itself.
         c = c0 / part
-        history = History(
-            c, strain_h + (c0 - c) * held.strain, velocity_h + (c0 - c) * velocity
-        )
+        history = History(c, strain_h + (c0 - c) * strain, velocity_h + (c0 - c) * velocity)
         rod = jax.tree.map(lambda a, b: change * a + (1 - change) * b, equations.rod, before.loads)
-        return equations._replace(history=history, rod=rod)
+        moving = equations.start(Guess(held.y, strain))
+        return history, rod, jnp.where(state.done == 0.0, moving, state.U)
 
     def attempt(state):
         at = jnp.minimum(_GOAL, state.done + state.advance)
-        start = jnp.where((state.done == 0.0) & (state.tries > 0), moving, state.U)
+        # Nothing is computed for what an ordinary step does not need.
+        history, rod, start = jax.lax.cond(state.tries == 0, at_once, on_the_way, state)
+        problem = equations._replace(history=history, rod=rod)
         borrowed = Borrowed(state.factors, before.borrowed.usable & (state.tries == 0))
-        new, found, factors = search_directly(on_the_way(at), options, start, borrowed)
+        new, found, factors = search_directly(problem, options, start, borrowed)
         ok = found.result == RESULTS.successful
         # After the whole way the whole step under the loads of before, then ever less.
-        at_once = (state.advance > 1.0) & (state.done == 0.0)
-        shorter = jnp.where(at_once, 1.0, jnp.minimum(1.0, state.advance) / 4)
+        first = (state.advance > 1.0) & (state.done == 0.0)
+        shorter = jnp.where(first, 1.0, jnp.minimum(1.0, state.advance) / 4)
         advance = jnp.where(ok, 2 * (at - state.done), shorter)
         past = state.found
         return _Way(
