@@ -71,13 +71,13 @@ def equilibrium(scene, tensions, pressures):
 
 def programs():
     """{row: (function, scene)}"""
-    everything = tuple(PARTS)
     return {
         "everything": (motion, without()),
         **{f"no {part}": (motion, without(part)) for part in PARTS},
-        "none of these": (motion, without(*everything)),
+        # Without gravity, too, nothing would move.
+        "gravity only": (motion, without(*(part for part in PARTS if part != "gravity"))),
         "everything, static": (equilibrium, without()),
-        "tendons only, static": (equilibrium, without(*everything[1:])),
+        "tendons only, static": (equilibrium, without(*(part for part in PARTS if part != "tendons"))),
     }
 
 

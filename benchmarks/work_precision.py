@@ -5,7 +5,8 @@
 On one core: `taskset -c 1 python ...` (the last line says how many it saw). DIR is where virtual
 environments of PyElastica, soromox and MuJoCo are, or will be made by pip. `--quick` takes
 few settings and one round: it shows that all is in place. `--cached` lets JAX keep compiled
-programs, and leaves the times of compiling out. About 20 minutes.
+programs, and leaves the times of compiling out. `--rows FILE` keeps what was measured, scene by
+scene, and a later run with the same file goes on from there. About 20 minutes.
 
 An error is the tip's distance [m] from a solution of another method, refined until it hardly
 changes, or from an independent one where `../shared/reference` is there: the largest, and the
@@ -14,6 +15,7 @@ setting and every package runs once, so that a slow moment falls on all. Compili
 """
 
 import argparse
+import json
 import time
 from pathlib import Path
 
@@ -244,6 +246,7 @@ def main():
     parser.add_argument("--peers", type=Path, metavar="DIR")
     parser.add_argument("--quick", action="store_true")
     parser.add_argument("--cached", action="store_true")
+    parser.add_argument("--rows", type=Path, metavar="FILE")
     parser.add_argument("--figure", type=Path, default=FIGURE)
     parser.add_argument("--write-readme", action="store_true")
     options = parser.parse_args()
@@ -254,7 +257,14 @@ def main():
     jax.config.update("jax_enable_compilation_cache", options.cached)
     begin = time.perf_counter()
     print(f"{machine()}; independent solutions: {REFERENCE.is_dir()}", flush=True)
-    measured = {name: measure(CASES[name](), options.peers, options.quick) for name in names}
+    measured = {}
+    if options.rows and options.rows.exists():
+        measured = json.loads(options.rows.read_text())
+    for name in names:
+        if name not in measured:
+            measured[name] = measure(CASES[name](), options.peers, options.quick)
+            if options.rows:
+                options.rows.write_text(json.dumps(measured))
     matplotlib.use("agg")
     options.figure.parent.mkdir(exist_ok=True)
     draw(measured).savefig(options.figure, dpi=130)
