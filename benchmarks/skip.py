@@ -75,9 +75,9 @@ def programs():
         "everything": (motion, without()),
         **{f"no {part}": (motion, without(part)) for part in PARTS},
         # Without gravity, too, nothing would move.
-        "gravity only": (motion, without(*(part for part in PARTS if part != "gravity"))),
+        "gravity only": (motion, without(*set(PARTS) - {"gravity"})),
         "everything, static": (equilibrium, without()),
-        "tendons only, static": (equilibrium, without(*(part for part in PARTS if part != "tendons"))),
+        "tendons only, static": (equilibrium, without(*set(PARTS) - {"tendons"})),
     }
 
 
