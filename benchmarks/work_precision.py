@@ -22,6 +22,7 @@ from pathlib import Path
 import jax
 import jax.numpy as jnp
 import matplotlib
+import matplotlib.ticker
 import numpy as np
 import peer_runs
 from report import machine, publish, table
@@ -31,6 +32,8 @@ import softrod_jax as sr
 
 FIGURE = Path(__file__).parent / "figures" / "work_precision.png"
 ROUNDS = 5
+PEER_LABELS = """★ other packages: M MuJoCo (step in ms), P PyElastica (elements),
+S soromox (segments), E explicit finite differences (elements)"""
 LEAST = 0.02  # s: shorter programs run several times a round
 
 
@@ -232,11 +235,15 @@ def draw(measured):
         panel.axhspan(min(known, panel.get_ylim()[0]), known, color="0.9", zorder=0)
         panel.set(xscale="log", yscale="log", title=CASES[name]().title)
         panel.set(xlabel="time of a run [s]", ylabel="largest error of the tip [m]")
+        panel.xaxis.set_minor_formatter(matplotlib.ticker.NullFormatter())
+        panel.margins(x=0.12)
         panel.grid(alpha=0.3)
     for panel in panels[len(measured) :]:
         panel.axis("off")
     if len(measured) < len(panels):
-        panels[-1].legend(handles.values(), handles, loc="center", fontsize=7, ncols=1)
+        legend = panels[-1].legend(handles.values(), handles, loc="upper center", fontsize=7.5)
+        legend.set_title("method along the rod: order of Collocation")
+        panels[-1].text(0.5, 0.0, PEER_LABELS, ha="center", va="bottom", fontsize=7.5)
     return figure
 
 
