@@ -34,6 +34,7 @@ FIGURE = Path(__file__).parent / "figures" / "work_precision.png"
 ROUNDS = 5
 PEER_LABELS = """★ other packages: M MuJoCo (step in ms), P PyElastica (elements),
 S soromox (segments), E explicit finite differences (elements)"""
+IN_TABLE = ("M20", "M2", "P10", "P50", "S1", "S8", "E50", "E330")
 LEAST = 0.02  # s: shorter programs run several times a round
 
 
@@ -165,7 +166,7 @@ def levels_table(measured, cached) -> str:
     """For every case, the fastest setting at a few errors."""
     rows, sources = [], []
     for name, (found, (known, source)) in measured.items():
-        sources.append(f"{CASES[name]().title}: {source}, known to {_short(known)} m")
+        sources.append(f"*{CASES[name]().title}*: {source} ({_short(known)} m)")
         for level in CASES[name]().levels:
             best = fastest(found, level)
             if best is None:
@@ -176,14 +177,18 @@ def levels_table(measured, cached) -> str:
             rows.append([CASES[name]().title, _short(level), *shown])
     header = ["", "error at most [m]", "fastest setting", "its error [m]", "time [ms]"]
     header.append("compile [s]")
-    return f"{table(header, rows)}\n\nCompared with {'; '.join(sources)}."
+    known_to = f"Errors are distances from (known to): {'; '.join(sources)}."
+    return f"{table(header, rows)}\n\n{known_to}"
 
 
 def peers_table(rows) -> str:
-    """Each package's row of the gravity step, and our fastest that is nowhere less accurate."""
+    """Packages' rows of the gravity step, and for each our fastest that is no less accurate.
+
+    The rows between are in the diagram.
+    """
     lines = []
     for peer in rows:
-        if peer["family"] is not None:
+        if peer["family"] is not None or peer["label"] not in IN_TABLE:
             continue
         best = fastest(rows, peer["largest"], peer["rms"])
         ours = ["none of those tried", "", "", ""]
