@@ -1,0 +1,137 @@
+"""What each part of a scene costs: a full scene, and the same without one part at a time.
+
+    python benchmarks/skip.py [--write-readme]
+
+A part that is absent from a scene is not in the program. Counted are the equations of the traced
+program (jaxpr) and the unknowns at each point along the rod; measured, the time to compile and
+that of a step (for statics: of a solve), the median of interleaved repeats. A motion without a
+part is another motion, which may need more or fewer evaluations of the rod equations a step:
+they are in the table, too. About 3 minutes.
+"""
+
+import dataclasses
+import time
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.extend.core import ClosedJaxpr, Jaxpr
+from report import machine, publish, table
+
+import softrod_jax as sr
+from softrod_jax.rod import make_rod
+from softrod_jax.rod_ode import Layout
+from softrod_jax.scene import as_arrays
+from softrod_jax.statics import unloaded_guess
+
+DT, STEPS, REPEATS = 5e-3, 100, 9
+TENSIONS, PRESSURES = (0.1, 0.05, 0.0), (1e4,)
+# What is absent from a scene: fields of `Scene` that are then None.
+PARTS = {
+    "tendons": ("tendons",),
+    "chamber": ("chambers",),
+    "gravity": ("gravity",),
+    "drag": ("drag_coefficient",),
+    "damping": ("bending_damping", "shear_damping"),
+    "payload": ("payload",),
+}
+
+
+def full_scene():
+    scene = sr.hybrid_robot(gravity=np.array([-9.81, 0.0, 0.0]))
+    return as_arrays(dataclasses.replace(scene, shear_damping=1e-3, payload=sr.Payload(1e-3)))
+
+
+def without(*parts):
+    """The full scene without these `PARTS`."""
+    absent = {field: None for part in parts for field in PARTS[part]}
+    return dataclasses.replace(full_scene(), **absent)
+
+
+def actuation(scene):
+    """Tensions and pressures of one step; None for an actuator that the scene lacks."""
+    tensions = None if scene.tendons is None else jnp.array(TENSIONS)
+    pressures = None if scene.chambers is None else jnp.array(PRESSURES)
+    return tensions, pressures
+
+
+def motion(scene, tensions, pressures):
+    """A motion's tip, result and evaluations per step."""
+    rows = lambda x: None if x is None else jnp.tile(x, (STEPS, 1))
+    inputs = rows(tensions), rows(pressures)
+    moved = sr.simulate(scene, DT, *inputs, steps=STEPS, throw=False)
+    return moved.tip_positions, moved.result, jnp.mean(moved.stats["iterations"])
+
+
+def equilibrium(scene, tensions, pressures):
+    """An equilibrium's tip, result and evaluations."""
+    solution = sr.solve_static(scene, tensions, pressures, throw=False)
+    return solution.tip_position, solution.result, solution.stats["iterations"]
+
+
+def programs():
+    """{row: (function, scene)}"""
+    return {
+        "everything": (motion, without()),
+        **{f"no {part}": (motion, without(part)) for part in PARTS},
+        # Without gravity, too, nothing would move.
+        "gravity only": (motion, without(*set(PARTS) - {"gravity"})),
+        "everything, static": (equilibrium, without()),
+        "tendons only, static": (equilibrium, without(*set(PARTS) - {"tendons"})),
+    }
+
+
+def trace(function, scene):
+    """The traced program, and what it is called with."""
+    arguments = scene, *actuation(scene)
+    return jax.jit(function).trace(*arguments), arguments
+
+
+def count_equations(jaxpr) -> int:
+    """Of a program and of all programs inside it, each once wherever it is written."""
+    if isinstance(jaxpr, ClosedJaxpr):
+        jaxpr = jaxpr.jaxpr
+    inner = [x for equation in jaxpr.eqns for x in jax.tree.leaves(list(equation.params.values()))]
+    programs = [x for x in inner if isinstance(x, Jaxpr | ClosedJaxpr)]
+    return len(jaxpr.eqns) + sum(map(count_equations, programs))
+
+
+def count_unknowns(function, scene) -> int:
+    """At each point along the rod."""
+    dynamic, method = function is motion, sr.Collocation()
+    rod = make_rod(scene, *actuation(scene), dynamic=dynamic)
+    layout = Layout(attitude=rod.has_dead_load, dynamic=dynamic)
+    return method.unknowns(unloaded_guess(method, layout, rod), rod).shape[1]
+
+
+def main() -> None:
+    rows, compiled = {}, {}
+    for name, (function, scene) in programs().items():
+        begin = time.perf_counter()
+        traced, arguments = trace(function, scene)
+        program = traced.lower().compile()
+        seconds = time.perf_counter() - begin
+        tip, result, evaluations = jax.block_until_ready(program(*arguments))
+        if int(result):
+            raise RuntimeError(f"{name}: {sr.result_message(int(result))}")
+        compiled[name] = lambda run=program, inputs=arguments: jax.block_until_ready(run(*inputs))
+        counts = [count_equations(traced.jaxpr), count_unknowns(function, scene)]
+        rows[name] = [*map(str, counts), f"{seconds:.1f}", f"{float(evaluations):.1f}"]
+    samples = {name: [] for name in compiled}
+    for _ in range(REPEATS):
+        for name, run in compiled.items():
+            begin = time.perf_counter()
+            run()
+            samples[name].append(time.perf_counter() - begin)
+    for name, times in samples.items():
+        count = STEPS if programs()[name][0] is motion else 1
+        rows[name].append(f"{1e3 * np.median(times) / count:.2g}")
+    header = ["", "equations traced", "unknowns a point", "compile [s]", "evaluations a step"]
+    text = table([*header, "step [ms]"], [[name, *row] for name, row in rows.items()])
+    publish("skip", f"{text}\n\n{machine()}.")
+
+
+if __name__ == "__main__":
+    jax.config.update("jax_enable_x64", True)
+    jax.config.update("jax_enable_compilation_cache", False)
+    main()

@@ -1,0 +1,58 @@
+"""The benchmarks: what they select and count. Their numbers are in the README."""
+
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "benchmarks"))
+
+import skip  # noqa: E402
+import work_precision  # noqa: E402
+import work_scenes  # noqa: E402
+
+
+def test_fastest_is_the_fastest_of_ours_that_is_accurate_enough():
+    row = lambda family, time, largest, rms: dict(
+        family=family, time=time, largest=largest, rms=rms
+    )
+    rows = [
+        row("ours", 3.0, 1e-6, 5e-7),
+        row("ours", 2.0, 1e-5, 9e-6),
+        row("ours", 1.0, 1e-3, 1e-4),
+        row(None, 0.1, 1e-9, 1e-9),
+    ]
+    assert work_precision.fastest(rows, 1e-5)["time"] == 2.0
+    assert work_precision.fastest(rows, 1e-5, rms=1e-6)["time"] == 3.0
+    assert work_precision.fastest(rows, 1e-8) is None
+
+
+def test_errors_are_the_largest_and_the_root_mean_square():
+    exact = np.zeros((4, 3))
+    tip = np.array([[0.0, 0, 0], [3e-3, 4e-3, 0], [0, 0, 0], [0, 0, 0]])
+    np.testing.assert_allclose(work_precision.errors(tip, exact), (5e-3, 2.5e-3))
+
+
+@pytest.mark.parametrize("name", work_scenes.CASES)
+def test_steps_divide_the_samples_and_names_tell_settings_apart(name):
+    case = work_scenes.CASES[name]()
+    settings = [*case.settings, *case.fine]
+    assert len({setting.name for setting in settings}) == len(settings)
+    if case.duration is not None:
+        for setting in settings:
+            for whole in (case.sample, 1e3 * case.duration):
+                parts = whole / setting.step
+                assert abs(parts - round(parts)) < 1e-9
+
+
+def test_absent_parts_are_not_in_the_program():
+    programs = skip.programs()
+    full, some, least = [
+        skip.count_equations(skip.trace(*programs[name])[0].jaxpr)
+        for name in ("everything", "no tendons", "gravity only")
+    ]
+    assert full > some > least, (full, some, least)
+    unknowns = {name: skip.count_unknowns(*programs[name]) for name in programs}
+    assert unknowns["everything"] == 22 and unknowns["no tendons"] == 16
+    assert unknowns["no gravity"] == 18 and unknowns["everything, static"] == 16
