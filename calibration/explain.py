@@ -95,7 +95,13 @@ class _Wider:
         names = [*problem.unknowns.names, *names]
         own = (*self.per_recording, *of_each)
         setup, unknowns = choose_unknowns(
-            problem.scene, self.recordings, self.labels, names, own, self.bounds
+            problem.scene,
+            self.recordings,
+            self.labels,
+            names,
+            own,
+            self.bounds,
+            places=problem.batch.conditions,
         )
         wider = replace(problem, setup=setup, unknowns=unknowns)
         place = {u.label: i for i, u in enumerate(unknowns.items)}

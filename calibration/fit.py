@@ -24,7 +24,7 @@ from calibration.recording import Recording
 from calibration.results import Fit, RecordingFit, Start
 from calibration.scales import Factor
 from calibration.selection import select
-from calibration.unknowns import Unknowns, choose_unknowns
+from calibration.unknowns import Unknowns, check_conditions, choose_unknowns
 
 # Half the width of the span from which the starts of a multi-start are drawn: one decade.
 _SPAN = np.log(10.0)
@@ -113,12 +113,16 @@ def calibrate(
         if value < 1:
             raise ValueError(f"{name}={value}: at least 1 is needed")
     labels = _labels([*recordings, *held_out])
-    setup, unknowns = choose_unknowns(scene, recordings, labels, fit, own, bounds or {})
+    check_conditions(scene, [*recordings, *held_out])
+    differing = {name for r in (*recordings, *held_out) for name in r.conditions}
+    setup, unknowns = choose_unknowns(
+        scene, recordings, labels, fit, own, bounds or {}, differing
+    )
     profiled = _indices(unknowns, profiles)
 
     selections = [select(r, window) for r in recordings]
     known_parameters, _ = catalogue(setup.scene)
-    defaults = {name: p.get(setup) for name, p in known_parameters.items()}
+    defaults = {name: known_parameters[name].get(setup) for name in differing}
     batch, clocks = make_batch(scene, recordings, selections, time_offset, dt, defaults)
     problem = Problem(setup, batch, clocks, unknowns, time_offset, scheme, method)
     descends = optimiser == "adam" and reverse_pays(len(unknowns.names), outputs=1)
