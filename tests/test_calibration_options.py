@@ -6,7 +6,7 @@ from dataclasses import replace
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from beams import NOISE, RELEASE, SETTINGS, TRUTH, beam, release
+from beams import NOISE, RATE, RELEASE, SETTINGS, TRUTH, beam, release
 
 import softrod_jax as sr
 from calibration import RecordingError, calibrate
@@ -22,9 +22,9 @@ NAMES = ("young_modulus", "bending_damping")
 
 
 def fit(recordings, scene=None, **options):
-    options = {"fit": NAMES, "checks": False, "window": ALL, **SETTINGS, **options}
+    usual = {"fit": NAMES, "checks": False, "window": ALL, "progress": False, **SETTINGS}
     scene = beam(young_modulus=2.3e5, bending_damping=1e-4) if scene is None else scene
-    return calibrate(scene, recordings, progress=False, **options)
+    return calibrate(scene, recordings, **{**usual, **options})
 
 
 @pytest.fixture(scope="module")
@@ -292,6 +292,28 @@ def test_what_a_hand_did_is_named():
     assert first.values["release_duration@bare"] < 0.02
     assert first.rms == pytest.approx(NOISE * np.sqrt(3), rel=0.1)
     assert any("release_duration@loaded" in r for r in as_json(found)["remarks"])
+
+
+@pytest.mark.long
+def test_numerical_damping_does_not_pose_as_the_materials(recording):
+    """A scheme that damps by itself: the check at half the step says so, and by how much."""
+    options = dict(scheme=sr.BDFAlpha(-0.2))
+    found = fit([recording], checks=True, **options)
+    damping = found.parameters["bending_damping"]
+    finer = fit([recording], dt=0.5 / RATE, **options).parameters["bending_damping"]
+    assert abs(damping.step_shift) > 100 * abs(damping.grid_shift)
+    foreseen = damping.step_shift * 2 * damping.standard_error
+    assert foreseen == pytest.approx(np.log(finer.value / damping.value), rel=0.5)
+    remarks = as_json(found)["remarks"]
+    assert any("half the time step, bending_damping" in r for r in remarks)
+    assert not any("twice the grid" in r for r in remarks)
+
+
+def test_the_bar_tells_loss_parameters_and_time(recording, capsys):
+    fit([recording], progress=True)
+    shown = capsys.readouterr().err
+    for word in ("levenberg marquardt", "rms 0.3", "mm", "left", "young_modulus 2.", "Pa"):
+        assert word in shown
 
 
 def test_amplitudes_of_a_sine():
