@@ -4,6 +4,10 @@ At the optimum the sensitivities to further parameters say, to first order, by h
 lower the sum of squares if it were fitted, too, and to what value it would go. One evaluation tells
 of all of them. Where a large part of the residuals goes away, the model leaves something out that
 looks like that parameter; it need not be it.
+
+How long a hand took to let go (`calibration.release`) does not show like that: to first order, a
+release that is slow is one that is late, which the clock has taken up. A few durations are
+simulated, and a fit goes on from the most promising.
 """
 
 from collections.abc import Mapping, Sequence
@@ -11,8 +15,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from calibration.loss import Point
+from calibration.loss import Point, Problem
+from calibration.optimise import levenberg_marquardt
 from calibration.parameters import catalogue
+from calibration.progress import Report
 from calibration.recording import Recording
 from calibration.scales import Factor
 from calibration.setup import Setup
@@ -34,13 +40,17 @@ _GROUPS = (
     "gravity_tilt",
     "clamp_rotation",
 )
+_RELEASE = "release_duration"
+_DURATIONS = (0.003, 0.03, 0.06, 0.1, 0.15)  # s: none to speak of, up to a slow hand
+_ITERATIONS = 8
 
 
 @dataclass(frozen=True)
 class Explanation:
     """One further parameter, or a group of them.
 
-    - `rms` [m]: what would be left if it were fitted, too; to first order.
+    - `rms` [m]: what would be left if it were fitted, too; to first order, but for
+      release_duration, which is fitted for a few iterations.
     - `values`: what its members would change to, by name, and their `units`.
     """
 
@@ -56,38 +66,136 @@ def explain(
     labels: Sequence[str],
     per_recording: Sequence[str],
     bounds: Mapping,
+    report: Report,
 ) -> list[Explanation]:
-    """Of every parameter that could be fitted and was not, the most telling first."""
-    problem = best.problem
-    scene = problem.scene
-    fitted = problem.unknowns.names
+    """Of every parameter that could be fitted and was not, the most telling first.
+
+    `best`: where the fit of `recordings` ended, with `labels`, `per_recording` and `bounds` as it
+    had them; `report` is told of further simulations.
+    """
+    wider = _Wider(best, recordings, labels, tuple(per_recording), bounds)
+    found = [*_to_first_order(wider), *_slow_release(wider, report)]
+    return sorted(found, key=lambda e: e.rms)
+
+
+@dataclass(frozen=True)
+class _Wider:
+    """The fit that ended at `best`, to which parameters can be added."""
+
+    best: Point
+    recordings: Sequence[Recording]
+    labels: Sequence[str]
+    per_recording: tuple[str, ...]
+    bounds: Mapping
+
+    def by(self, names, of_each=()) -> tuple[Problem, np.ndarray, list[int]]:
+        """The problem with `names` as well, those in `of_each` by recording; x at the best place,
+        and which of its entries were fitted there."""
+        problem = self.best.problem
+        names = [*problem.unknowns.names, *names]
+        own = (*self.per_recording, *of_each)
+        setup, unknowns = choose_unknowns(
+            problem.scene,
+            self.recordings,
+            self.labels,
+            names,
+            own,
+            self.bounds,
+            places=problem.batch.conditions,
+        )
+        wider = replace(problem, setup=setup, unknowns=unknowns)
+        place = {u.label: i for i, u in enumerate(unknowns.items)}
+        x = wider.start()
+        old = [place[u.label] for u in problem.unknowns.items]
+        old += list(range(wider.size, len(x)))
+        x[old] = self.best.x
+        return wider, x, old
+
+
+def _to_first_order(wider: _Wider) -> list[Explanation]:
+    problem = wider.best.problem
+    scene, fitted = problem.scene, problem.unknowns.names
     candidates = {g: m for g in _GROUPS if (m := _members(scene, problem, g, fitted))}
     if not candidates:
         return []
-    names = [*fitted, *(n for members in candidates.values() for n in members)]
-    setup, unknowns = choose_unknowns(scene, recordings, labels, names, per_recording, bounds)
-    many = replace(problem, setup=setup, unknowns=unknowns)
-    place = {u.label: i for i, u in enumerate(unknowns.items)}
-    x = many.start()
-    old = [place[u.label] for u in problem.unknowns.items]
-    old += list(range(many.size, len(x)))
-    x[old] = best.x
+    many, x, old = wider.by([n for members in candidates.values() for n in members])
     point = many.at(x)
     if not point.ok:
         return []
     found = []
     for group, members in candidates.items():
-        new = [i for i, u in enumerate(unknowns.items) if u.parameter.name in members]
-        step, loss = _step(point, old + new)
-        moved = dict(zip(old + new, step, strict=True))
+        items = many.unknowns.items
+        new = [i for i, u in enumerate(items) if u.parameter.name in members]
+        columns = old + new
+        step, loss = _step(point.jacobian[:, columns], point.residuals)
+        moved = dict(zip(columns, step, strict=True))
         values, units = {}, {}
         for i in new:
-            u = unknowns.items[i]
-            _, change = u.parameter.scale.limited(moved[i])
-            values[u.label] = float(np.max(u.value(change)))
-            units[u.label] = u.parameter.unit
+            _, change = items[i].parameter.scale.limited(moved[i])
+            values[items[i].label] = float(np.max(items[i].value(change)))
+            units[items[i].label] = items[i].parameter.unit
         found.append(Explanation(group, float(np.sqrt(loss / problem.samples)), values, units))
-    return sorted(found, key=lambda e: e.rms)
+    return found
+
+
+def _slow_release(wider: _Wider, report: Report) -> list[Explanation]:
+    """Nothing if the recordings are no releases, or it was fitted or is known."""
+    problem, batch = wider.best.problem, wider.best.problem.batch
+    known, _ = catalogue(problem.scene)
+    told = _RELEASE in problem.unknowns.names or _RELEASE in batch.conditions
+    inputs = batch.tensions is not None or batch.pressures is not None
+    if told or inputs or _RELEASE not in known:
+        return []
+    many, x, _ = wider.by([_RELEASE], of_each=[_RELEASE])
+    own = [i for i, u in enumerate(many.unknowns.items) if u.parameter.name == _RELEASE]
+    points = [many.at(_released_in(many, x, own, duration)) for duration in _DURATIONS]
+    for point in points:
+        report(point)
+    points = [point for point in points if point.ok]
+    if not points:
+        return []
+    mixed = x.copy()
+    for recording, k in enumerate(_best_mix(points)):
+        of_it = [own[recording]] + [many.size + recording] * many.time_offset
+        mixed[of_it] = points[k].x[of_it]
+    start = many.at(mixed)
+    report(start)
+    end = levenberg_marquardt(many, start, _ITERATIONS, report).best
+    items = [many.unknowns.items[i] for i in own]
+    values = {u.label: float(u.value(end.x[i])) for i, u in zip(own, items, strict=True)}
+    units = {u.label: u.parameter.unit for u in items}
+    return [Explanation(_RELEASE, end.rms, values, units)] if end.ok else []
+
+
+def _released_in(many: Problem, x, own: list[int], duration: float) -> np.ndarray:
+    """x with that duration [s] of every release; half of it is a delay, which goes."""
+    x = x.copy()
+    for i in own:
+        item = many.unknowns.items[i]
+        x[i] = item.parameter.scale.theta(item.initial, duration)
+    if many.time_offset:
+        x[many.size :] -= np.array([duration / 2 / c.interval for c in many.clocks])
+    return x
+
+
+def _best_mix(points: list[Point]) -> list[int]:
+    """Which point to take for each recording, so that one Gauss-Newton step of all unknowns
+    leaves least: one recording after the other, until none changes."""
+    many = len(points[0].problem.clocks)
+    J = [p.jacobian.reshape(many, -1, p.x.size) for p in points]
+    r = [p.residuals.reshape(many, -1) for p in points]
+
+    def left(mix):
+        jacobian = np.concatenate([J[k][i] for i, k in enumerate(mix)])
+        return _step(jacobian, np.concatenate([r[k][i] for i, k in enumerate(mix)]))[1]
+
+    mix, before = [0] * many, None
+    while mix != before:
+        before = mix
+        for i in range(many):
+            tries = [[*mix[:i], k, *mix[i + 1 :]] for k in range(len(points))]
+            mix = min(tries, key=left)
+    return mix
 
 
 def _members(scene, problem, group, fitted) -> tuple[str, ...]:
@@ -108,9 +216,8 @@ def _members(scene, problem, group, fitted) -> tuple[str, ...]:
     return tuple(members)
 
 
-def _step(point: Point, columns: list[int]):
-    """The Gauss-Newton step in `columns`, and the loss it promises."""
-    J, r = point.jacobian[:, columns], point.residuals
+def _step(J: np.ndarray, r: np.ndarray) -> tuple[np.ndarray, float]:
+    """The Gauss-Newton step in the columns of `J`, and the loss it promises."""
     size = np.sqrt(np.sum(J**2, axis=0)) + 1e-300
     # Directions that do nothing are left alone.
     step, *_ = np.linalg.lstsq(J / size, -r, rcond=1e-4)

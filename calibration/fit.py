@@ -15,7 +15,7 @@ from calibration.assemble import estimates, recording_fit
 from calibration.checkpoint import Checkpoint
 from calibration.checks import Refined, hold_out, refine
 from calibration.explain import explain as what_else
-from calibration.loss import Point, Problem
+from calibration.loss import Point, Problem, reverse_pays
 from calibration.model import METHOD, SCHEME, make_batch
 from calibration.optimise import Outcome
 from calibration.parameters import catalogue
@@ -24,7 +24,7 @@ from calibration.recording import Recording
 from calibration.results import Fit, RecordingFit, Start
 from calibration.scales import Factor
 from calibration.selection import select
-from calibration.unknowns import Unknowns, choose_unknowns
+from calibration.unknowns import Unknowns, check_conditions, choose_unknowns
 
 # Half the width of the span from which the starts of a multi-start are drawn: one decade.
 _SPAN = np.log(10.0)
@@ -70,15 +70,15 @@ def calibrate(
     - `bounds`: (low, high) by name, in the parameter's unit.
     - `held_out`: recordings to predict with what was fitted; of them only the clock is.
     - `time_offset`: also fit, for each recording, when its inputs or its release really began.
-    - `optimiser`: "levenberg_marquardt", for a handful of parameters, or "adam" (gradient
-      descent).
+    - `optimiser`: "levenberg_marquardt", or "adam" (gradient descent), which goes by reverse mode
+      if each recording depends on many parameters (`calibration.loss.reverse_pays`).
     - `loss`: "squares", or "huber" or "tukey", which outliers hardly move.
     - `starts`: search from so many places, the scene's own and others drawn from one decade
       around it on either side (with `seed`), and keep the best.
     - `profiles`: parameters of which the profile likelihood is wanted.
     - `checks`: simulate the result again with half the time step and with twice the grid.
     - `explain`: tell what else, if it were fitted, would explain the residuals.
-    - `material`: compare the values with the published range of a material out of
+    - `material`: compare the values with the range of a material out of
       `calibration.materials.MATERIALS`.
     - `progress`: show a bar on stderr.
     - `max_iterations`: evaluations by the optimiser, of each start.
@@ -101,6 +101,7 @@ def calibrate(
     recordings = [recordings] if isinstance(recordings, Recording) else list(recordings)
     if not recordings:
         raise ValueError("recordings: none given; at least one is needed")
+    own = (per_recording,) if isinstance(per_recording, str) else tuple(per_recording)
     held_out = [held_out] if isinstance(held_out, Recording) else list(held_out)
     _check_choice("optimiser", optimiser, optimise.OPTIMISERS)
     _check_choice("loss", loss, robust.LOSSES)
@@ -112,23 +113,32 @@ def calibrate(
         if value < 1:
             raise ValueError(f"{name}={value}: at least 1 is needed")
     labels = _labels([*recordings, *held_out])
-    setup, unknowns = choose_unknowns(scene, recordings, labels, fit, per_recording, bounds or {})
+    check_conditions(scene, [*recordings, *held_out])
+    differing = {name for r in (*recordings, *held_out) for name in r.conditions}
+    setup, unknowns = choose_unknowns(
+        scene, recordings, labels, fit, own, bounds or {}, differing
+    )
     profiled = _indices(unknowns, profiles)
 
     selections = [select(r, window) for r in recordings]
     known_parameters, _ = catalogue(setup.scene)
-    defaults = {name: p.get(setup) for name, p in known_parameters.items()}
+    defaults = {name: known_parameters[name].get(setup) for name in differing}
     batch, clocks = make_batch(scene, recordings, selections, time_offset, dt, defaults)
     problem = Problem(setup, batch, clocks, unknowns, time_offset, scheme, method)
+    descends = optimiser == "adam" and reverse_pays(len(unknowns.names), outputs=1)
+    searched = replace(problem, reverse=descends)
     saved = Checkpoint(checkpoint, problem, resume, (optimiser, loss, starts, seed))
     with Bar() if progress else Silent() as meter:
         log = _Log(meter, saved)
-        outcome, ends = _search(problem, optimiser, max_iterations, starts, seed, log)
+        outcome, ends = _search(searched, optimiser, max_iterations, starts, seed, log)
         if not outcome.best.ok:
             raise CalibrationError(
                 "the scene cannot be simulated, neither at its own values nor at others nearby: "
                 f"{sr.result_message(outcome.best.result)}"
             )
+        if descends:
+            # What follows needs the sensitivities of every residual.
+            outcome = replace(outcome, best=problem.at(outcome.best.x))
         outcome = _reweighted(outcome, loss, max_iterations, log)
         best = outcome.best
         log.stage("intervals", None)
@@ -148,7 +158,7 @@ def calibrate(
         if explain:
             log.stage("what else", None)
             explanations = tuple(
-                what_else(best, recordings, labels, per_recording, bounds or {})
+                what_else(best, recordings, labels, own, bounds or {}, log.add)
             )
         others = _held_out(best, held_out, labels[len(recordings) :], window, dt, defaults)
     if outcome.result != "interrupted":

@@ -2,8 +2,8 @@
 
 One compiled program gives residuals and their forward sensitivities; every part of a fit (coarse
 search, gradient descent, Levenberg-Marquardt, uncertainty) calls it and nothing else, so that it
-is compiled once. Reverse mode would cost a second program of twice the compile time, and saves
-nothing for a handful of parameters.
+is compiled once. All recordings run through it in one call. Gradient descent by many parameters
+uses another, of reverse mode, whose cost does not grow with their number.
 """
 
 from dataclasses import dataclass, replace
@@ -25,6 +25,21 @@ from calibration.unknowns import Unknowns, conditioned
 
 # A residual of a simulation that failed, in rod lengths: worse than any motion of the rod.
 _FAILED = 10.0
+# One sweep of reverse mode costs about as much as seven tangents of forward mode (0.6 s of a robot
+# with three tendons: 0.09 s, against 0.13 s by 12 and 0.31 s by 33 parameters), and the time to
+# compile a second program. By these figures Levenberg-Marquardt, which needs a tenth of the
+# evaluations, is faster than gradient descent up to some 80 parameters, and remains the default.
+_TANGENTS_A_SWEEP = 10
+
+
+def reverse_pays(parameters: int, outputs: int) -> bool:
+    """Whether reverse mode is the cheaper way to the derivatives of `outputs` numbers.
+
+    Forward mode costs a tangent for each parameter, reverse mode a sweep for each output. The loss
+    of gradient descent is one output; Levenberg-Marquardt needs the derivatives of every residual,
+    hundreds of outputs, and always goes forward.
+    """
+    return parameters > _TANGENTS_A_SWEEP * outputs
 
 
 class Evaluation(eqx.Module):
@@ -32,35 +47,62 @@ class Evaluation(eqx.Module):
 
     - `residuals`, (recordings, samples, 3): simulated minus measured.
     - `by_parameter`, (recordings, samples, 3, parameters), and `by_delay` [m/s], (recordings,
-      samples, 3).
+      samples, 3): of the residuals, by forward mode. By reverse mode, (recordings, parameters)
+      [m^2] and (recordings,) [m^2/s]: of each recording's sum of squared weighted residuals.
     - `alignment`: what was added to the simulated tip to get there.
     - `motion`: the simulated tips, before that.
     """
 
     residuals: Float[Array, "recordings samples 3"]
-    by_parameter: Float[Array, "recordings samples 3 parameters"]
-    by_delay: Float[Array, "recordings samples 3"]
+    by_parameter: Float[Array, "recordings *samples parameters"]
+    by_delay: Float[Array, "recordings *samples"]
     alignment: Alignment
     motion: Motion
 
 
-def evaluate(setup, batch: Batch, theta, delays, names, scheme, method) -> Evaluation:
+def evaluate(
+    setup, batch: Batch, theta, delays, names, scheme, method, reverse: bool = False
+) -> Evaluation:
     """Residuals at `theta`, (recordings, names), and `delays` [s], (recordings,).
 
     A simulation that fails has residuals of ten rod lengths, whose sensitivities are zero.
     """
-    return _compiled()(setup, batch, theta, delays, names, scheme, method)
+    return _compiled(_gradients if reverse else _sensitivities)(
+        setup, batch, theta, delays, names, scheme, method
+    )
 
 
 @cache
-def _compiled():
+def _compiled(function):
     static = ("names", "scheme", "method")
-    return jax.jit(_evaluate, static_argnames=static, compiler_options=compiler_options())
+    return jax.jit(function, static_argnames=static, compiler_options=compiler_options())
 
 
-def _evaluate(setup, batch, theta, delays, names, scheme, method):
-    def one(inputs):
-        recording, theta, delay = inputs
+def _each(one, *inputs):
+    """`one` of every recording, in one program."""
+    # Batched small matrices gain nothing on a CPU, and each step would wait for the slowest.
+    if jax.default_backend() == "cpu":
+        return jax.lax.map(lambda args: one(*args), inputs)
+    return jax.vmap(one)(*inputs)
+
+
+def _gradients(setup, batch, theta, delays, names, scheme, method):
+    def one(recording, theta, delay):
+        own = conditioned(setup, recording.conditions)
+
+        def loss(theta, delay):
+            motion = simulate_motion(with_values(own, names, theta), recording, scheme, method)
+            r, alignment = _residual(motion, recording, delay, setup.scene.length)
+            return jnp.sum((recording.weights * r) ** 2), (r, alignment, motion)
+
+        (by_theta, by_delay), (r, *rest) = jax.grad(loss, (0, 1), has_aux=True)(theta, delay)
+        return Evaluation(r, by_theta, by_delay, *rest)
+
+    return _each(one, batch, theta, delays)
+
+
+def _sensitivities(setup, batch, theta, delays, names, scheme, method):
+    def one(recording, theta, delay):
         own = conditioned(setup, recording.conditions)
 
         def by_theta(theta):
@@ -75,31 +117,21 @@ def _evaluate(setup, batch, theta, delays, names, scheme, method):
         r, alignment = residual(motion, delay)
         return Evaluation(r, by_parameter, by_delay, alignment, motion)
 
-    # Batched small matrices gain nothing on a CPU, and each step would wait for the slowest.
-    if jax.default_backend() == "cpu":
-        return jax.lax.map(one, (batch, theta, delays))
-    return jax.vmap(one)((batch, theta, delays))
-
-
-@cache
-def _compiled_prediction():
-    static = ("names", "scheme", "method")
-    return jax.jit(_predict, static_argnames=static, compiler_options=compiler_options())
+    return _each(one, batch, theta, delays)
 
 
 def predict(setup, batch: Batch, theta, delays, names, scheme, method):
     """Like `evaluate`, without sensitivities: residuals and motions of every recording."""
-    return _compiled_prediction()(setup, batch, theta, delays, names, scheme, method)
+    return _compiled(_predict)(setup, batch, theta, delays, names, scheme, method)
 
 
 def _predict(setup, batch, theta, delays, names, scheme, method):
-    def one(inputs):
-        recording, theta, delay = inputs
+    def one(recording, theta, delay):
         own = with_values(conditioned(setup, recording.conditions), names, theta)
         motion = simulate_motion(own, recording, scheme, method)
         return _residual(motion, recording, delay, setup.scene.length)[0], motion
 
-    return jax.lax.map(one, (batch, theta, delays))
+    return _each(one, batch, theta, delays)
 
 
 def _residual(motion: Motion, recording: Batch, delay, length):
@@ -147,7 +179,8 @@ class Point:
 
     @cached_property
     def jacobian(self) -> np.ndarray:
-        """Of the weighted residuals, (recordings * samples * 3, unknowns) [m]."""
+        """Of the weighted residuals, (recordings * samples * 3, unknowns) [m]; of a problem that
+        is not `reverse`."""
         problem, unknowns = self.problem, self.problem.unknowns
         weights = problem.weights
         J = np.zeros((*weights.shape, self.x.size))
@@ -157,6 +190,20 @@ class Point:
             for k, clock in enumerate(problem.clocks):
                 J[k, ..., problem.size + k] = self.evaluation.by_delay[k] * clock.interval
         return (weights[..., None] * J).reshape(-1, self.x.size)
+
+    @cached_property
+    def gradient(self) -> np.ndarray:
+        """Of the loss, (unknowns,) [m^2]."""
+        problem, unknowns = self.problem, self.problem.unknowns
+        if not problem.reverse:
+            return 2 * self.jacobian.T @ self.residuals
+        gradient = np.zeros(self.x.size)
+        for k, j in np.argwhere(unknowns.columns >= 0):
+            gradient[unknowns.columns[k, j]] += self.evaluation.by_parameter[k, j]
+        if problem.time_offset:
+            intervals = np.array([clock.interval for clock in problem.clocks])
+            gradient[problem.size :] = self.evaluation.by_delay * intervals
+        return gradient
 
     @cached_property
     def loss(self) -> float:
@@ -179,7 +226,10 @@ class Point:
 
 @dataclass(frozen=True, eq=False)
 class Problem:
-    """Setup, recordings and what is fitted: from numbers to an evaluated `Point`."""
+    """Setup, recordings and what is fitted: from numbers to an evaluated `Point`.
+
+    `reverse`: points have the gradient of the loss, and no Jacobian.
+    """
 
     setup: Setup
     batch: Batch
@@ -188,6 +238,7 @@ class Problem:
     time_offset: bool
     scheme: sr.SDIRK | sr.BDFAlpha
     method: sr.Collocation
+    reverse: bool = False
 
     @property
     def scene(self) -> sr.Scene:
@@ -251,6 +302,7 @@ class Problem:
             self.unknowns.names,
             self.scheme,
             self.method,
+            self.reverse,
         )
         return Point(x, jax.device_get(evaluation), self)
 

@@ -166,8 +166,8 @@ def make_batch(
     """The recordings as arrays, and their clocks; `steps` and `samples`: the least
     number of them, so that the batch runs through a program compiled for another.
 
-    `dt` [s], of all or of each; None chooses. `defaults`: values of those conditions that some
-    recordings give and others do not.
+    `dt` [s], of all or of each; None chooses. `defaults`: the conditions in which recordings
+    differ, by name, each with the value of those that do not give it.
 
     Raises `RecordingError` if a release cannot be seen in a recording and `time_offset` is
     asked for, or if inputs do not fit the scene; `ValueError` for a bad `dt`.
@@ -196,10 +196,9 @@ def make_batch(
         _inputs([getattr(r, name) for r in recordings], recordings, clocks, steps)
         for name in ("tensions", "pressures")
     )
-    differing = {name for r in recordings for name in r.conditions}
     conditions = {
-        name: jnp.array([float(r.conditions.get(name, defaults[name])) for r in recordings])
-        for name in sorted(differing)
+        name: jnp.array([float(r.conditions.get(name, usual)) for r in recordings])
+        for name, usual in sorted(defaults.items())
     }
     batch = Batch(
         dt=jnp.array([c.dt for c in clocks]),

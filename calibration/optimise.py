@@ -94,8 +94,7 @@ def gradient_descent(
     x, state = start.x, adam.init(jnp.asarray(start.x))
     point, best, history = start, start, [start.loss]
     for k in range(1, max_iterations + 1):
-        gradient = 2 * point.jacobian.T @ point.residuals / point.loss
-        update, state = adam.update(jnp.asarray(gradient), state)
+        update, state = adam.update(jnp.asarray(point.gradient / point.loss), state)
         x = np.clip(x + np.asarray(update), *problem.bounds)
         point = problem.at(x)
         if not point.ok:

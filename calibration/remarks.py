@@ -104,9 +104,9 @@ def _implausible(fit):
         value = float(np.ravel(estimate.value)[0])
         if not low <= value <= high:
             yield (
-                f"{label} = {_show(value, estimate.unit)} is outside the published range of "
-                f"{whose}, {low:.3g} to {_show(high, estimate.unit)}: check units, section, length "
-                "and what the tip carries."
+                f"{label} = {_show(value, estimate.unit)} is outside the range of {whose}, "
+                f"{low:.3g} to {_show(high, estimate.unit)} ({material.source}): check units, "
+                "section, length and what the tip carries."
             )
     if "drag_coefficient" in fit.parameters:
         width = 2 * np.sqrt(float(fit.scene.section.area) / np.pi)
@@ -153,6 +153,7 @@ def _systematic(fit):
             f"Residuals are correlated in time: {fit.samples} coordinates are worth "
             f"{fit.effective_samples:.0f} independent ones. Intervals are widened accordingly. "
             "Usually the model leaves something out; see the residuals."
+            + (" `explain` looks for what it may be." if fit.explanations is None else "")
         )
 
 

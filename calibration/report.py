@@ -244,8 +244,9 @@ def _explanations(fit: Fit) -> list[str]:
     return [
         "<h2>What else would explain the residuals</h2>",
         _table(("if fitted, too", "rms left [mm]", "at about"), rows),
-        "<p><small>To first order, one at a time. A parameter that takes much away need not be the "
-        "cause; something that looks like it is missing.</small></p>",
+        "<p><small>To first order, one at a time; release_duration by a short fit. A parameter "
+        "that takes much away need not be the cause; something that looks like it is missing."
+        "</small></p>",
     ]
 
 

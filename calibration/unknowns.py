@@ -1,6 +1,6 @@
 """The unknowns of a fit: which parameter, of which recording, between which bounds."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -74,8 +74,10 @@ def choose_unknowns(
     fit: Sequence[str] | str | None,
     per_recording: Sequence[str],
     bounds: Mapping[str, tuple[float, float]],
+    places: Iterable[str] = (),
 ) -> tuple[Setup, Unknowns]:
-    """The setup that all recordings share, and the unknowns.
+    """The setup that all recordings share, and the unknowns. The setup has a place for what is
+    fitted, for the recordings' conditions and for the parameters `places`.
 
     A parameter is one number for all recordings, unless it is among `per_recording` or recordings
     give it as a condition: then each has its own. One whose condition is 0 keeps it.
@@ -83,8 +85,7 @@ def choose_unknowns(
     Raises `ValueError` for unknown names and for bounds that are not around the initial value.
     """
     every_condition = {name: r for r in recordings for name in r.conditions}
-    for name, recording in every_condition.items():
-        _check_condition(scene, name, recording)
+    check_conditions(scene, recordings)
     setup = prepared(scene, every_condition)
     names = choose(setup.scene, fit, every_condition)
     own = set(choose(setup.scene, per_recording, every_condition)) if per_recording else set()
@@ -93,7 +94,7 @@ def choose_unknowns(
     for name in bounds:
         if name not in names:
             raise ValueError(f"bounds: {name!r} is not fitted; add it to fit, or leave it out")
-    setup = prepared(setup.scene, [*every_condition, *names])
+    setup = prepared(setup.scene, [*every_condition, *names, *places])
     known, _ = catalogue(setup.scene)
     items: list[Unknown] = []
     columns = np.full((len(recordings), len(names)), -1)
@@ -115,6 +116,13 @@ def choose_unknowns(
             if not (nothing and isinstance(parameter.scale, Factor)):
                 columns[k, j] = add(f"{name}@{labels[k]}", k, its_own)
     return setup, Unknowns(names, tuple(items), columns)
+
+
+def check_conditions(scene: sr.Scene, recordings: Sequence[Recording]) -> None:
+    """Raises `RecordingError` for a condition that `scene` cannot have."""
+    for recording in recordings:
+        for name in recording.conditions:
+            _check_condition(scene, name, recording)
 
 
 def _check_condition(scene, name, recording):

@@ -9,6 +9,7 @@ import numpy as np
 
 import softrod_jax as sr
 from calibration import Recording
+from calibration.release import held
 from softrod_jax.scene import as_arrays
 
 SETTINGS = dict(scheme=sr.SDIRK(order=2), method=sr.Collocation(intervals=2, order=6))
@@ -31,10 +32,15 @@ def beam(**values):
     )
 
 
-def release(scene, seed=0, noise=NOISE, name="release", correlation=0.0, **parts):
-    """The rod of `scene`, held straight and let go at RELEASE [s]; noise that is white, or an AR(1)
-    of this correlation from sample to sample."""
-    motion = sr.simulate(scene, 1 / RATE, steps=STEPS, **SETTINGS)
+def release(
+    scene, seed=0, noise=NOISE, name="release", correlation=0.0, duration=None, **parts
+):
+    """The rod of `scene`, held straight and let go at RELEASE [s], at once or within `duration`
+    [s]; noise that is white, or an AR(1) of this correlation from sample to sample."""
+    tensions = None
+    if duration is not None:
+        scene, tensions = held(scene, jnp.array(duration), jnp.array(1 / RATE), STEPS)
+    motion = sr.simulate(scene, 1 / RATE, tensions, steps=STEPS, **SETTINGS)
     lead = round(RELEASE * RATE)
     tip = np.asarray(motion.tip_positions)
     tip = np.concatenate([np.repeat(tip[:1], lead, axis=0), tip])[: STEPS + lead]

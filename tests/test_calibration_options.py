@@ -6,12 +6,13 @@ from dataclasses import replace
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from beams import NOISE, RELEASE, SETTINGS, TRUTH, beam, release
+from beams import NOISE, RATE, RELEASE, SETTINGS, TRUTH, beam, release
 
 import softrod_jax as sr
 from calibration import RecordingError, calibrate
 from calibration.checkpoint import CheckpointError
-from calibration.optimise import levenberg_marquardt
+from calibration.model import simulate_motion
+from calibration.optimise import gradient_descent, levenberg_marquardt
 from calibration.report import as_json, write_report
 from calibration.spectra import amplitudes
 from calibration.windows import split
@@ -21,9 +22,9 @@ NAMES = ("young_modulus", "bending_damping")
 
 
 def fit(recordings, scene=None, **options):
-    options = {"fit": NAMES, "checks": False, "window": ALL, **SETTINGS, **options}
+    usual = {"fit": NAMES, "checks": False, "window": ALL, "progress": False, **SETTINGS}
     scene = beam(young_modulus=2.3e5, bending_damping=1e-4) if scene is None else scene
-    return calibrate(scene, recordings, progress=False, **options)
+    return calibrate(scene, recordings, **{**usual, **options})
 
 
 @pytest.fixture(scope="module")
@@ -84,15 +85,65 @@ def test_bounds_hold(recording):
     assert estimate.value == pytest.approx(2.5e5, rel=1e-6)
 
 
-def test_each_recording_may_have_its_own(recording):
-    softer = release(beam(young_modulus=2.4e5), seed=1, name="softer")
-    found = fit([recording, softer], per_recording=("young_modulus",), held_out=[softer])
-    assert list(found.parameters) == [
-        "young_modulus@release", "young_modulus@softer", "bending_damping",
-    ]  # fmt: skip
-    assert near(found, "young_modulus@release", 2.9e5)
-    assert near(found, "young_modulus@softer", 2.4e5)
-    assert found.parameters["young_modulus@softer"].recording == "softer"
+@pytest.fixture(scope="module")
+def three(recording):
+    """Recordings of different lengths, of two rods."""
+    softer = beam(young_modulus=2.4e5)
+    short = release(softer, seed=2, name="short").window(0.0, 0.28)
+    return [recording, release(softer, seed=1, name="softer"), short]
+
+
+@pytest.fixture(scope="module")
+def each(three):
+    """Their fit, with a modulus for each; and how often the simulation was traced."""
+    traced = []
+
+    def counted(*args):
+        traced.append(args)
+        return simulate_motion(*args)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("calibration.loss.simulate_motion", counted)
+        found = fit(three, per_recording=NAMES[:1], held_out=three[:1])
+    return found, len(traced)
+
+
+def test_each_recording_may_have_its_own(each):
+    found, _ = each
+    own = [f"young_modulus@{name}" for name in ("release", "softer", "short")]
+    assert list(found.parameters) == [*own, "bending_damping"]
+    for name, truth in zip(own, (2.9e5, 2.4e5, 2.4e5), strict=True):
+        assert near(found, name, truth)
+    assert found.parameters[own[1]].recording == "softer"
+
+
+def test_all_recordings_run_through_one_program(each):
+    found, traced = each
+    assert found.evaluations > 5 and len(found.held_out) == 1
+    assert traced == 1
+
+
+def test_reverse_mode_goes_the_same_way(three, each, monkeypatch):
+    """Gradient descent by what recordings share, what each has for itself, and their clocks."""
+    options = dict(per_recording=NAMES[:1], optimiser="adam", max_iterations=12)
+    forward = fit(three, **options)
+    monkeypatch.setattr("calibration.loss._TANGENTS_A_SWEEP", 1)
+    directions = []
+
+    def noted(problem, *args):
+        directions.append(problem.reverse)
+        return gradient_descent(problem, *args)
+
+    monkeypatch.setattr("calibration.optimise.OPTIMISERS", {"adam": (noted, 12)})
+    reverse = fit(three, **options)
+    assert directions and all(directions)
+    assert reverse.evaluations == forward.evaluations > 12
+    assert reverse.history[-1]["rms_m"] < 0.9 * reverse.history[0]["rms_m"]
+    for a, b in zip(reverse.history, forward.history, strict=True):
+        assert a["rms_m"] == pytest.approx(b["rms_m"], rel=1e-7), a["stage"]
+    for name, estimate in reverse.parameters.items():
+        assert estimate.value == pytest.approx(forward.parameters[name].value, rel=1e-7)
+        np.testing.assert_allclose(estimate.ci95, forward.parameters[name].ci95, rtol=1e-5)
 
 
 def test_held_out_recordings_are_predicted(recording):
@@ -116,6 +167,16 @@ def test_conditions_of_a_recording_are_its_own():
     assert list(found.parameters) == [*NAMES, "payload_mass@heavy"]
     assert near(found, "payload_mass@heavy", 0.05)
     assert near(found, "young_modulus", TRUTH["young_modulus"])
+
+
+def test_another_weight_is_predicted(recording):
+    """Fitted without a weight, kept aside with one: of the weight only its mass is told."""
+    scene = beam(payload=sr.Payload(jnp.array(0.05)))
+    heavy = release(scene, seed=1, name="heavy", conditions={"payload_mass": 0.05})
+    found = fit([recording], held_out=[heavy])
+    assert found.held_out[0].rmse == pytest.approx(NOISE * np.sqrt(3), rel=0.2)
+    with pytest.raises(RecordingError, match="heavy: condition 'weight' is unknown"):
+        fit([recording], held_out=[replace(heavy, conditions={"weight": 0.05})])
 
 
 @pytest.mark.parametrize(
@@ -205,6 +266,54 @@ def test_the_report_is_one_file_and_its_scene_can_be_simulated(recording, plain,
     assert float(scene.young_modulus) == pytest.approx(value)
     content = json.loads((tmp_path / "parameters.json").read_text())
     assert content["parameters"]["young_modulus"]["verdict"] == "identified"
+
+
+def test_a_modulus_that_is_not_the_materials(plain):
+    """2.9e5 Pa is a Dragon Skin 10, and far too stiff for an Ecoflex."""
+
+    def said(material):
+        return [r for r in as_json(replace(plain, material=material))["remarks"] if "range" in r]
+
+    assert not said(None) and not said("dragon-skin-10")
+    (remark,) = said("ecoflex-00-30")
+    assert "young_modulus" in remark and "ecoflex-00-30" in remark and "10 psi" in remark
+
+
+@pytest.mark.long
+def test_what_a_hand_did_is_named():
+    """A weight whose release took 80 ms, and a bare rod that was free at once."""
+    scene = beam(payload=sr.Payload(jnp.array(0.05)))
+    held_back = release(scene, 1, name="loaded", duration=0.08, conditions={"payload_mass": 0.05})
+    bare = release(beam(), name="bare", conditions={"payload_mass": 0.0})
+    found = fit([bare, held_back], explain=True)
+    first = found.explanations[0]
+    assert first.name == "release_duration"
+    assert first.values["release_duration@loaded"] == pytest.approx(0.08, rel=0.1)
+    assert first.values["release_duration@bare"] < 0.02
+    assert first.rms == pytest.approx(NOISE * np.sqrt(3), rel=0.1)
+    assert any("release_duration@loaded" in r for r in as_json(found)["remarks"])
+
+
+@pytest.mark.long
+def test_numerical_damping_does_not_pose_as_the_materials(recording):
+    """A scheme that damps by itself: the check at half the step says so, and by how much."""
+    options = dict(scheme=sr.BDFAlpha(-0.2))
+    found = fit([recording], checks=True, **options)
+    damping = found.parameters["bending_damping"]
+    finer = fit([recording], dt=0.5 / RATE, **options).parameters["bending_damping"]
+    assert abs(damping.step_shift) > 100 * abs(damping.grid_shift)
+    foreseen = damping.step_shift * 2 * damping.standard_error
+    assert foreseen == pytest.approx(np.log(finer.value / damping.value), rel=0.5)
+    remarks = as_json(found)["remarks"]
+    assert any("half the time step, bending_damping" in r for r in remarks)
+    assert not any("twice the grid" in r for r in remarks)
+
+
+def test_the_bar_tells_loss_parameters_and_time(recording, capsys):
+    fit([recording], progress=True)
+    shown = capsys.readouterr().err
+    for word in ("levenberg marquardt", "rms 0.3", "mm", "left", "young_modulus 2.", "Pa"):
+        assert word in shown
 
 
 def test_amplitudes_of_a_sine():

@@ -9,7 +9,7 @@ from beams import SETTINGS
 
 import softrod_jax as sr
 from calibration import Recording
-from calibration.loss import Problem, predict
+from calibration.loss import Problem, predict, reverse_pays
 from calibration.model import make_batch
 from calibration.parameters import catalogue, choose, prepared, with_values
 from calibration.scales import Between, Factor, Shift
@@ -146,3 +146,9 @@ def test_sensitivities_are_finite_differences(inputs):
         np.testing.assert_allclose(J[:, i], difference, atol=1e-3 * scale + 1e-10, err_msg=name)
         # Each of them does something.
         assert scale > 1e-9, name
+
+
+def test_reverse_mode_pays_for_many_parameters_of_few_numbers():
+    assert not reverse_pays(parameters=3, outputs=1)
+    assert reverse_pays(parameters=30, outputs=1)
+    assert not reverse_pays(parameters=30, outputs=300)

@@ -80,7 +80,7 @@ def add_arguments(parser) -> None:
         "--explain", action="store_true", help="tell what else would explain the residuals"
     )
     search.add_argument(
-        "--material", metavar="NAME", help="compare values with this material's published range"
+        "--material", metavar="NAME", help="compare values with this material's range"
     )
     search.add_argument(
         "--no-checks",
