@@ -44,7 +44,7 @@ def calibrate(
     bounds: Mapping[str, tuple[float, float]] | None = None,
     held_out: Sequence[Recording] = (),
     time_offset: bool = True,
-    optimiser: str = "levenberg_marquardt",
+    optimiser: str | None = None,
     loss: str = "squares",
     starts: int = 1,
     seed: int = 0,
@@ -71,7 +71,8 @@ def calibrate(
     - `held_out`: recordings to predict with what was fitted; of them only the clock is.
     - `time_offset`: also fit, for each recording, when its inputs or its release really began.
     - `optimiser`: "levenberg_marquardt", or "adam" (gradient descent), which goes by reverse mode
-      if each recording depends on many parameters (`calibration.loss.reverse_pays`).
+      if each recording depends on many parameters (`calibration.loss.reverse_pays`); by default
+      the first for up to `calibration.optimise.MANY` parameters, and the second for more.
     - `loss`: "squares", or "huber" or "tukey", which outliers hardly move.
     - `starts`: search from so many places, the scene's own and others drawn from one decade
       around it on either side (with `seed`), and keep the best.
@@ -103,14 +104,13 @@ def calibrate(
         raise ValueError("recordings: none given; at least one is needed")
     own = (per_recording,) if isinstance(per_recording, str) else tuple(per_recording)
     held_out = [held_out] if isinstance(held_out, Recording) else list(held_out)
-    _check_choice("optimiser", optimiser, optimise.OPTIMISERS)
+    if optimiser is not None:
+        _check_choice("optimiser", optimiser, optimise.OPTIMISERS)
     _check_choice("loss", loss, robust.LOSSES)
     if material is not None:
         _check_choice("material", material, materials.MATERIALS)
-    _, usual = optimise.OPTIMISERS[optimiser]
-    max_iterations = usual if max_iterations is None else int(max_iterations)
     for name, value in (("max_iterations", max_iterations), ("starts", starts)):
-        if value < 1:
+        if value is not None and value < 1:
             raise ValueError(f"{name}={value}: at least 1 is needed")
     labels = _labels([*recordings, *held_out])
     check_conditions(scene, [*recordings, *held_out])
@@ -119,6 +119,9 @@ def calibrate(
         scene, recordings, labels, fit, own, bounds or {}, differing
     )
     profiled = _indices(unknowns, profiles)
+    optimiser = optimiser or optimise.usual(len(unknowns.names))
+    if max_iterations is None:
+        _, max_iterations = optimise.OPTIMISERS[optimiser]
 
     selections = [select(r, window) for r in recordings]
     known_parameters, _ = catalogue(setup.scene)

@@ -92,12 +92,6 @@ def compliance(problem: LocalProblem, strain: Strain):
     return _inverse(_hessian(problem, strain))
 
 
-def _path_maps(problem: LocalProblem):
-    """B_i with l_i = B_i x + r_i,s, (tendons, 3, 6): v + u x r_i is linear in x = (v, u)."""
-    r = problem.r
-    return jnp.concatenate([jnp.broadcast_to(jnp.eye(3), (*r.shape, 3)), -hat(r)], -1)
-
-
 def _linear_paths(r, x):
     """v + u x r_i, (*points, tendons, 3)."""
     v, u = x[..., None, :3], x[..., None, 3:]
@@ -117,13 +111,6 @@ def shortest_path(rod: Rod, strain: Strain):
     """The least |v + u x r_i| of any tendon anywhere: 0 where it has no length left."""
     problem = LocalProblem(None, None, rod.tau, *rod.tendons.routing(0.0))
     return jnp.min(_paths(problem, strain)[1])
-
-
-def _pulls(problem: LocalProblem, x):
-    """d|l_i|/dx, (*points, tendons, 6), and |l_i|."""
-    l, length = _paths(problem, x)
-    t = l / length[..., None]
-    return jnp.sum(_path_maps(problem) * t[..., None], -2), length
 
 
 def imbalance(problem: LocalProblem, x: Strain) -> Strain:
@@ -146,38 +133,37 @@ def _path_rates(problem: LocalProblem, l):
     return l_t, jnp.sqrt(jnp.sum(l_t * l_t, -1) + 1e-30)
 
 
-def _path_drags(problem: LocalProblem, x):
-    """l_t.dl/dx, (*points, tendons, 6), and |l_t|."""
-    l_t, rate = _path_rates(problem, _paths(problem, x)[0])
-    return jnp.sum(_path_maps(problem) * l_t[..., None], -2), rate
-
-
 def _hessian(problem: LocalProblem, x):
-    """(*points, 6, 6)."""
-    pull, length = _pulls(problem, x)
-    B = _path_maps(problem)
-    BB = jnp.sum(B[:, :, :, None] * B[:, :, None, :], -3)
-    H = jnp.diag(problem.k)
-    for i in range(problem.r.shape[0]):
-        stiffness = (problem.tau[i] / length[..., i])[..., None, None]
-        across = BB[i] - pull[..., i, :, None] * pull[..., i, None, :]
-        H = H + stiffness * across
+    """(*points, 6, 6): diag(k) + sum_i B_i^T M_i B_i, with l_i = B_i x and B_i = [1, -r_i^]."""
+    l, length = _paths(problem, x)
+    eye, outer = jnp.eye(3), lambda a: a[..., :, None] * a[..., None, :]
+    t = l / length[..., None]
+    M = (problem.tau / length)[..., None, None] * (eye - outer(t))
     if problem.viscosity is not None:
-        drag, rate = _path_drags(problem, x)
-        for i in range(problem.r.shape[0]):
-            a, z = drag[..., i, :], rate[..., i, None, None]
-            along = a[..., :, None] * a[..., None, :] / z
-            H = H + problem.c0 * problem.viscosity[i] * (z * BB[i] + along)
-    return H
+        l_t, rate = _path_rates(problem, l)
+        rate = rate[..., None, None]
+        drag = problem.c0 * problem.viscosity[:, None, None]
+        M = M + drag * (rate * eye + outer(l_t) / rate)
+    turn = jnp.broadcast_to(-hat(problem.r), M.shape)
+    M_turn = _product_3(M, turn)
+    upper = jnp.concatenate([M, M_turn], -1)
+    lower = [jnp.swapaxes(M_turn, -1, -2), _product_3(jnp.swapaxes(turn, -1, -2), M_turn)]
+    sum_i = jnp.sum(jnp.concatenate([upper, jnp.concatenate(lower, -1)], -2), -3)
+    return jnp.diag(problem.k) + sum_i
+
+
+def _product_3(A, B):
+    """A @ B of (*batch, 3, 3), in components."""
+    return sum(A[..., :, j, None] * B[..., j, None, :] for j in range(3))
 
 
 def _energy(problem: LocalProblem, x):
-    _, length = _paths(problem, x)
+    l, length = _paths(problem, x)
     quadratic = jnp.sum((0.5 * problem.k * x - problem.b) * x, -1)
     energy = quadratic + jnp.sum(problem.tau * length, -1)
     if problem.viscosity is None:
         return energy
-    _, rate = _path_drags(problem, x)
+    _, rate = _path_rates(problem, l)
     return energy + jnp.sum(problem.viscosity * rate**3, -1) / (3 * problem.c0)
 
 

@@ -12,7 +12,7 @@ import softrod_jax as sr
 from calibration import RecordingError, calibrate
 from calibration.checkpoint import CheckpointError
 from calibration.model import simulate_motion
-from calibration.optimise import gradient_descent, levenberg_marquardt
+from calibration.optimise import MANY, gradient_descent, levenberg_marquardt, usual
 from calibration.report import as_json, write_report
 from calibration.spectra import amplitudes
 from calibration.windows import split
@@ -307,6 +307,10 @@ def test_numerical_damping_does_not_pose_as_the_materials(recording):
     remarks = as_json(found)["remarks"]
     assert any("half the time step, bending_damping" in r for r in remarks)
     assert not any("twice the grid" in r for r in remarks)
+
+
+def test_the_usual_optimiser():
+    assert usual(3) == usual(MANY) == "levenberg_marquardt" and usual(MANY + 1) == "adam"
 
 
 def test_the_bar_tells_loss_parameters_and_time(recording, capsys):

@@ -10,6 +10,7 @@ import pytest
 from scipy.optimize import brentq, least_squares
 
 import softrod_jax as sr
+from softrod_jax import dynamics, statics
 from softrod_jax.scene import as_arrays
 
 SHARED = Path(__file__).parents[2] / "shared" / "reference"
@@ -252,3 +253,22 @@ def test_batch_equals_loop_and_a_bad_sample_spoils_nothing():
 def test_bad_arguments(arguments, words):
     with pytest.raises(ValueError, match=words):
         sr.simulate(sr.hybrid_robot(), **arguments)
+
+
+def test_other_numbers_compile_nothing_new(monkeypatch):
+    """A program is made once for each combination of parts, settings and number of steps."""
+    traced = []
+    for module, name in ((dynamics, "march"), (statics, "solve_boundary_value")):
+        original = getattr(module, name)
+        monkeypatch.setattr(
+            module, name, lambda *a, original=original, **k: (traced.append(1), original(*a, **k))[1]
+        )
+    jax.clear_caches()
+    for E, dt, pull in ((5e4, 5e-3, 0.1), (6e4, 4e-3, 0.2), (7e4, 5e-3, 0.0)):
+        scene = with_(sr.hybrid_robot(gravity=jnp.array([-9.81, 0.0, 0.0])), young_modulus=E)
+        tensions = np.full((2, 3), pull)
+        sr.simulate(scene, dt, tensions, scheme=sr.BDFAlpha())
+        sr.solve_static(scene, tensions[0])
+        if E == 5e4:
+            first = len(traced)
+    assert len(traced) == first > 1

@@ -1,4 +1,4 @@
-"""Where a rod solver is tempted to return a number that is none: large loads, short steps, jumps."""
+"""Where solvers are tempted to return a number that is none: large loads, short steps, jumps."""
 
 import jax
 import jax.numpy as jnp

@@ -213,7 +213,8 @@ def test_second_derivative_of_the_strains():
     second = jax.jacfwd(jax.jacfwd(strain))(1.0)
     d = 1e-4
     first = jax.jacfwd(strain)
-    np.testing.assert_allclose(second, (first(1 + d) - first(1 - d)) / (2 * d), rtol=1e-6, atol=1e-9)
+    expected = (first(1 + d) - first(1 - d)) / (2 * d)
+    np.testing.assert_allclose(second, expected, rtol=1e-6, atol=1e-9)
 
 
 def test_a_tendon_path_that_shrinks_to_nothing_is_reported():

@@ -64,8 +64,7 @@ def add_arguments(parser) -> None:
     search = parser.add_argument_group("search and checks")
     search.add_argument(
         "--optimiser",
-        default="levenberg_marquardt",
-        help="levenberg_marquardt, or adam (gradient descent)",
+        help="levenberg_marquardt, or adam (gradient descent), which is usual for many parameters",
     )
     search.add_argument(
         "--loss", default="squares", help="squares, or huber or tukey, which outliers hardly move"
