@@ -67,7 +67,7 @@ def time_steps() -> str:
         for step in steps:
             tip, seconds = _motion(_gravity, step, 1.0, min(steps), scheme=scheme)
             error = _error(tip, fine[:: step // FINE_STEP])
-            rows.append([f"`{_name(scheme)}`", f"{step}", error, f"{seconds:.2f}"])
+            rows.append([f"`{_name(scheme)}`", f"{step}", error, f"{seconds:.2g}"])
     return table(["scheme", "dt [ms]", "error [m]", "time [s]"], rows)
 
 
