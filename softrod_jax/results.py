@@ -42,7 +42,8 @@ _MESSAGES = {
     ),
     RESULTS.inaccurate: (
         "the equations along the rod are solved on a grid too coarse for them; take more "
-        "intervals, or shorter steps along the rod"
+        "intervals, or shorter steps along the rod; with a tolerance: no steps and grid on offer "
+        "keep it; take a larger one, or loads that change less suddenly"
     ),
 }
 
