@@ -19,7 +19,7 @@ def spread(function: Callable, devices=None) -> Callable:
     """`function` of one sample, mapped over the leading axis of all its arguments.
 
     As `jax.vmap(function)`, whose values and derivatives it has, but on all `devices` (default:
-    `jax.devices()`; of all hosts, if `jax.distributed` runs). Any number of samples will do.
+    `jax.devices()`). Any number of samples will do.
     JAX has one device for all cores of a CPU, unless it is told before its first use:
 
         jax.config.update("jax_num_cpu_devices", os.cpu_count())

@@ -90,7 +90,7 @@ def solve_sweeps(
 ) -> Float[Array, "nodes n"]:
     """(da, db) at every node; linear in (defect, tip_rhs)."""
     a = factors.T11.shape[-1]
-    t = -_apply(factors.inverse, defect)
+    t = -apply_each(factors.inverse, defect)
     t1, t2 = t[:, :a], t[:, a:]
 
     # One small product a node in turn; all else for all nodes at once.
@@ -98,17 +98,20 @@ def solve_sweeps(
         matrix, rhs = k
         return matrix @ x + rhs, x
 
-    loads = t2 + _apply(factors.inwards, _apply(factors.S, t1))
+    loads = t2 + apply_each(factors.inwards, apply_each(factors.S, t1))
     g0, g = jax.lax.scan(sweep, tip_rhs, (factors.inwards, loads), reverse=True)
-    V0 = _apply(factors.W, _apply(factors.S, t1) + g)
-    shifts = t1 + _apply(factors.T12, V0)
+    V0 = apply_each(factors.W, apply_each(factors.S, t1) + g)
+    shifts = t1 + apply_each(factors.T12, V0)
     base = jnp.zeros(a, defect.dtype)
     da_n, da = jax.lax.scan(sweep, base, (factors.outwards, shifts))
-    db = _apply(factors.V, da) + V0
+    db = apply_each(factors.V, da) + V0
     return jnp.concatenate(
         [jnp.concatenate([da, da_n[None]]), jnp.concatenate([g0[None], db])], -1
     )
 
 
-def _apply(matrices: Float[Array, "m i j"], vectors: Float[Array, "m j"]):
+def apply_each(
+    matrices: Float[Array, "m i j"], vectors: Float[Array, "m j"]
+) -> Float[Array, "m i"]:
+    """The product of each matrix and its vector."""
     return jnp.einsum("kij,kj->ki", matrices, vectors)

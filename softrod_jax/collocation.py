@@ -18,6 +18,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from softrod_jax.block_sweep import apply_each
 from softrod_jax.constitutive import imbalance, recover_strain
 from softrod_jax.method import Fields, Guess, Linear, Method
 from softrod_jax.rod import Rod
@@ -159,11 +160,11 @@ class Collocation(Method):
         df = [0.0] * (2 + len(stages))
         if strains is not None:
             _, by_wrench = strains
-            df = self._by_stage(-_apply(by_wrench, residual.forces))
+            df = self._by_stage(-apply_each(by_wrench, residual.forces))
         dy = []
         for r, ((A_r, _, _), x) in enumerate(zip(stages, formula.x)):
             dy.append(h * sum(a * df_j for a, df_j in zip(x, df)) - residual.inner[r])
-            df[2 + r] = df[2 + r] + _apply(A_r, dy[-1])
+            df[2 + r] = df[2 + r] + apply_each(A_r, dy[-1])
         defect = residual.defect - h * sum(b * df_r for b, df_r in zip(formula.b, df))
         return defect, (dy, residual.forces)
 
@@ -171,7 +172,7 @@ class Collocation(Method):
         """The correction of all unknowns."""
         (_, stages, strains), (dy, forces) = inner, condensed
         moved = [
-            dy_r + _apply(left, dY[:-1]) + _apply(right, dY[1:])
+            dy_r + apply_each(left, dY[:-1]) + apply_each(right, dY[1:])
             for dy_r, (_, left, right) in zip(dy, stages)
         ]
         order = np.argsort(self._formula.c)
@@ -179,7 +180,7 @@ class Collocation(Method):
         dU = jnp.concatenate([body.reshape(-1, body.shape[-1]), dY[-1:]])
         if strains is None:
             return dU
-        return jnp.concatenate([dU, _apply(strains[0], dU[:, -6:] - forces)], -1)
+        return jnp.concatenate([dU, apply_each(strains[0], dU[:, -6:] - forces)], -1)
 
     def _split(self, U, rod, layout, history):
         """States, strains and the pointwise problem of which they are the solution."""
@@ -213,7 +214,3 @@ class _Residual(NamedTuple):
     defect: Float[Array, "intervals n"]
     inner: list
     forces: Float[Array, "points 6"] | None
-
-
-def _apply(matrices: Float[Array, "m i j"], vectors: Float[Array, "m j"]):
-    return jnp.einsum("kij,kj->ki", matrices, vectors)

@@ -204,6 +204,14 @@ def test_agrees_with_collocation():
 
 
 @pytest.mark.long
+def test_gradients():
+    tip = lambda E: gravity_step(E, 0.01, MULTIPLE).tip_positions[-1]
+    forward, reverse = jax.jacfwd(tip)(5e4), jax.jacrev(tip)(5e4)
+    np.testing.assert_allclose(forward, reverse, atol=1e-9 * np.abs(forward).max())
+    assert_slopes_agree(forward[:, None], lambda x: tip(x[0]), jnp.array([5e4]), [50.0], 1e-6)
+
+
+@pytest.mark.long
 def test_gradients_beside_a_failure():
     """Forward, reverse and differences agree, and a failed sample leaves its batch's alone."""
     move = jax.jit(jax.vmap(lambda E, dt: gravity_step(E, dt, SINGLE), (None, 0)))
