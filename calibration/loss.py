@@ -27,8 +27,7 @@ from calibration.unknowns import Unknowns, conditioned
 _FAILED = 10.0
 # One sweep of reverse mode costs about as much as seven tangents of forward mode (0.6 s of a robot
 # with three tendons: 0.09 s, against 0.13 s by 12 and 0.31 s by 33 parameters), and the time to
-# compile a second program. By these figures Levenberg-Marquardt, which needs a tenth of the
-# evaluations, is faster than gradient descent up to some 80 parameters, and remains the default.
+# compile a second program.
 _TANGENTS_A_SWEEP = 10
 
 

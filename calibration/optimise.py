@@ -29,10 +29,8 @@ _PATIENCE, _LEAST_GAIN = 8, 0.1
 # A result that leaves less than this part of the tip's motion (rms) is taken for the right one;
 # else the coarse search looks for a better place to start.
 _UNEXPLAINED = 0.15
-
-
-# Up to so many parameters Levenberg-Marquardt is the faster: it takes a tenth of the iterations, and
-# a parameter costs each of them a forward tangent.
+# Up to so many parameters Levenberg-Marquardt is the faster, by the costs in `calibration.loss`: it
+# takes a tenth of the evaluations, and a parameter costs each of them a forward tangent.
 MANY = 80
 
 

@@ -22,9 +22,9 @@ NAMES = ("young_modulus", "bending_damping")
 
 
 def fit(recordings, scene=None, **options):
-    usual = {"fit": NAMES, "checks": False, "window": ALL, "progress": False, **SETTINGS}
+    plain = {"fit": NAMES, "checks": False, "window": ALL, "progress": False, **SETTINGS}
     scene = beam(young_modulus=2.3e5, bending_damping=1e-4) if scene is None else scene
-    return calibrate(scene, recordings, **{**usual, **options})
+    return calibrate(scene, recordings, **{**plain, **options})
 
 
 @pytest.fixture(scope="module")
