@@ -10,6 +10,7 @@ except ImportError as e:
     raise ImportError(f"softrod_jax.pictures: {e}: pip install 'softrod_jax[plots]'") from None
 
 from softrod_jax.pictures.animation import animate as animate
+from softrod_jax.pictures.drawing import TENDON_COLOURS as TENDON_COLOURS
 from softrod_jax.pictures.drawing import draw_rod as draw_rod
 from softrod_jax.pictures.drawing import rod_axes as rod_axes
 from softrod_jax.pictures.stills import draw_stills as draw_stills

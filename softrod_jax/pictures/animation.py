@@ -12,13 +12,20 @@ from PIL import Image
 
 from softrod_jax.dynamics import Trajectory
 from softrod_jax.pictures.body import Line, body_of, line_along
-from softrod_jax.pictures.drawing import POINTS, draw_line, rod_axes, shares, unit_of
+from softrod_jax.pictures.drawing import (
+    POINTS,
+    TENDON_COLOURS,
+    draw_line,
+    rod_axes,
+    shares,
+    unit_of,
+)
 from softrod_jax.pictures.page import PAGE
 from softrod_jax.pictures.stills import add_legend, check_solved, draw_dots
 from softrod_jax.scene import Scene
 
-# A frame takes 0.1 s to draw: more of them than this are a mistake.
-MOST_FRAMES = 1500
+# A frame takes 0.1 s to draw, and half a megabyte of memory until all are there.
+MOST_FRAMES = 600
 
 
 def animate(
@@ -44,7 +51,7 @@ def animate(
     - `measured_tip` [m], (steps + 1, 3): dots, as far as it is known.
 
     Returns `path`. Raises `ValueError` for a failed motion, a batch, another ending of the name,
-    and more than 1500 frames.
+    and more than 600 frames.
     """
     path = Path(path)
     check_solved("animate", trajectory)
@@ -110,27 +117,35 @@ def _frames(scene, trajectory, tensions, pressures, shown, speed, view, size, me
         clock.set_text(f"t = {ts[k]:.2f} s{pace}")
         canvas.draw()
         pictures.append(Image.fromarray(np.asarray(canvas.buffer_rgba())[..., :3]))
-    return _with_one_palette(pictures)
+    return _with_one_palette(pictures, TENDON_COLOURS[: len(body.tendons)])
 
 
-def _with_one_palette(pictures) -> list[Image.Image]:
+def _with_one_palette(pictures, keys) -> list[Image.Image]:
     """The frames in 256 colours, the same for all: with others each, they would flicker.
 
-    Every colour counts once and not by its pixels, for tendons are thin. White stays white.
+    Every colour counts once and not by its pixels, for tendons are thin. White stays white, and
+    `keys`, such as "#0072b2", what they are.
     """
-    code = np.array([1 << 16, 1 << 8, 1])
-    numbers = [(np.asarray(image) & 0xFC).astype(np.int64) @ code for image in pictures]
-    colours = np.unique(np.concatenate([np.unique(x) for x in numbers]))
+    codes = [np.unique(_codes(image)) for image in pictures]
+    colours = np.unique(np.concatenate(codes))
     rgb = ((colours[:, None] >> np.array([16, 8, 0])) & 0xFF).astype(np.uint8)
-    chosen = Image.fromarray(rgb[None]).quantize(255).getpalette()
-    palette = np.array([252, 252, 252, *chosen[: 3 * 255]]).reshape(-1, 3)
+    coarse = np.unique(rgb & 0xF8, axis=0) + np.uint8(4)
+    others = 255 - len(keys)
+    chosen = Image.fromarray(coarse[None]).quantize(others).getpalette()[: 3 * others]
+    exact = [x for key in keys for x in bytes.fromhex(key[1:])]
+    palette = np.array([252, 252, 252, *exact, *chosen]).reshape(-1, 3)
     nearest = [np.argmin(np.sum((palette - colour.astype(int)) ** 2, axis=1)) for colour in rgb]
-    palette[0] = 255
     nearest = np.array(nearest, dtype=np.uint8)
-    indexed = [Image.fromarray(nearest[np.searchsorted(colours, x)]) for x in numbers]
+    palette[0] = 255
+    indexed = [Image.fromarray(nearest[np.searchsorted(colours, _codes(x))]) for x in pictures]
     for image in indexed:
         image.putpalette(palette.astype(np.uint8).tobytes())
     return indexed
+
+
+def _codes(image: Image.Image) -> np.ndarray:
+    """Each pixel's colour, to 6 bits a channel, as one number."""
+    return (np.asarray(image) & 0xFC).astype(np.int32) @ np.array([1 << 16, 1 << 8, 1])
 
 
 def _course(inputs, times, count) -> np.ndarray:

@@ -184,7 +184,7 @@ def _surface(grid, colour, alpha, order) -> Poly3DCollection:
     normal = np.cross(faces[:, 2] - faces[:, 0], faces[:, 3] - faces[:, 1])
     normal /= np.linalg.norm(normal, axis=1, keepdims=True) + 1e-300
     light = 0.72 + 0.28 * normal @ (_LIGHT / np.linalg.norm(_LIGHT))
-    rgb = np.array([int(colour[i : i + 2], 16) for i in (1, 3, 5)]) / 255
+    rgb = np.array(list(bytes.fromhex(colour[1:]))) / 255
     colours = np.concatenate([light[:, None] * rgb, np.full((len(light), 1), alpha)], axis=1)
     # Smoothed edges leave a gap between faces: closed by edges where hardly anything shines
     # through, and not seen where much does.
