@@ -1,6 +1,7 @@
 """A rod in 3D axes: its body, translucent, with its tendons and chambers, clamp and payload."""
 
 import numpy as np
+from matplotlib import rc_context
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 from mpl_toolkits.mplot3d.art3d import Line3DCollection, Poly3DCollection
@@ -38,7 +39,7 @@ def rod_axes(
     """
     body = body_of(scene, POINTS)
     line = line_along(shapes, float(scene.length), POINTS)
-    points = line.p.reshape(-1, 3)
+    points = np.concatenate([line.p, line.p[..., -1:, :] + _arrow(scene)], axis=-2).reshape(-1, 3)
     if not np.all(np.isfinite(points)):
         raise ValueError("rod_axes: the shapes have positions that are not finite")
     margin = 1.4 * body.radius
@@ -49,7 +50,8 @@ def rod_axes(
 
     size, unit = unit_of(scene)
     vertical, sign = _up(scene)
-    axes = figure.add_subplot(place, projection="3d", computed_zorder=False)
+    with rc_context({"grid.color": "#d8dade", "grid.linewidth": 0.6}):
+        axes = figure.add_subplot(place, projection="3d", computed_zorder=False)
     flipped = set() if sign > 0 else {vertical, (vertical + 2) % 3}
     for i, name in enumerate("xyz"):
         ends = size * np.array([low[i], high[i]])
@@ -59,7 +61,6 @@ def rod_axes(
         axis.set_major_locator(MaxNLocator(4))
         axis.set_label_text(f"{name} [{unit}]")
         axis.pane.set_facecolor((0.96, 0.96, 0.97))
-        axis._axinfo["grid"].update(color="#d8dade", linewidth=0.6)
     axes.tick_params(labelsize=8)
     elevation, azimuth = view
     # With x upright the rod, along z, would run into the page.
@@ -79,7 +80,6 @@ def draw_rod(
     largest_pressure: float | None = None,
     strength: float = 1.0,
     clamp: bool = True,
-    body: Body | None = None,
 ) -> list:
     """Draw one shape of a rod into 3D axes, and return what was drawn.
 
@@ -89,7 +89,6 @@ def draw_rod(
     - `tensions` [N], (tendons,), and `pressures` [Pa], (chambers,): a tendon is drawn the wider
       and a chamber the darker, up to `largest_tension` and `largest_pressure`.
     - `strength`: below 1 the rod is drawn fainter. `clamp`: whether to draw that, too.
-    - `body`: of this scene, where many shapes are drawn.
 
     The body has the true size of the section; of a `GeneralSection`, whose outline is unknown,
     it is the ellipse with the same radii of gyration. Chambers are drawn round.
@@ -99,8 +98,7 @@ def draw_rod(
             f"draw_rod: positions of shape {np.shape(shape.positions)}, expected (nodes, 3): "
             "draw one sample of a batch, or one time of a motion"
         )
-    body = body_of(scene, POINTS) if body is None else body
-    line = line_along(shape, float(scene.length), len(body.arc))
+    body, line = body_of(scene, POINTS), line_along(shape, float(scene.length), POINTS)
     return draw_line(
         axes,
         scene,
@@ -127,7 +125,7 @@ def draw_line(axes, scene, body: Body, line: Line, pull, air, strength=1.0, clam
 
     if clamp:
         for grid in _plate(line, body.radius):
-            surface(grid, _CLAMP, 0.9 / strength, 1)
+            add(_surface(size * grid, _CLAMP, 0.9, 1))
     for outline, share in zip(body.chambers, air, strict=True):
         surface(placed(line, outline), CHAMBER_COLOUR, _EMPTY + share * (_FULL - _EMPTY), 3)
     if body.bore is not None:
@@ -136,23 +134,28 @@ def draw_line(axes, scene, body: Body, line: Line, pull, air, strength=1.0, clam
         curve = size * placed(line, path)
         colour = TENDON_COLOURS[i % len(TENDON_COLOURS)]
         width = (_SLACK + _TAUT * share) * strength
-        # One line in pieces: a single long one is not clipped well in 3D.
         add(Line3DCollection([curve], colors=[colour], linewidths=width, zorder=4))
     surface(placed(line, body.outline), _BODY, 0.25, 5)
     surface(_cap(line, body), _BODY, 0.25, 5)
     if scene.payload is not None:
         surface(_ball(line.p[-1], 0.8 * body.radius), _PAYLOAD, 0.95, 6)
-    if scene.tip_load is not None and scene.tip_load.force is not None:
-        force = np.asarray(scene.tip_load.force)
-        reach = 0.25 * float(scene.length) * force / np.linalg.norm(force)
-        arrow = axes.quiver(
-            *(size * line.p[-1]), *(size * reach), color=_FORCE, lw=1.5 * strength, zorder=7
-        )
-        drawn.append(arrow)
+    arrow = size * _arrow(scene)
+    if np.any(arrow):
+        tip = size * line.p[-1]
+        drawn.append(axes.quiver(*tip, *arrow, color=_FORCE, lw=1.5 * strength, zorder=7))
     return drawn
 
 
+def _arrow(scene) -> np.ndarray:
+    """The force at the tip as it is drawn, a quarter of the rod long [m]; zero for none."""
+    if scene.tip_load is None or scene.tip_load.force is None or not np.any(scene.tip_load.force):
+        return np.zeros(3)
+    force = np.asarray(scene.tip_load.force)
+    return 0.25 * float(scene.length) * force / np.linalg.norm(force)
+
+
 def unit_of(scene) -> tuple[float, str]:
+    """The size of a metre in pictures of `scene`, and the name of the unit."""
     return (1e3, "mm") if float(scene.length) < 1 else (1.0, "m")
 
 
