@@ -111,12 +111,18 @@ def draw_rod(
     )
 
 
-def draw_line(axes, scene, body: Body, line: Line, pull, air, strength=1.0, clamp=True) -> list:
-    """As `draw_rod`, from the axis of the rod; `pull` and `air`: shares in [0, 1] of the most."""
+def draw_line(
+    axes, scene, body: Body, line: Line, pull, air, strength=1.0, clamp=True, layer=0
+) -> list:
+    """As `draw_rod`, from the axis of the rod; `pull` and `air`: shares in [0, 1] of the most.
+
+    `layer`: a rod of a higher one is drawn over those of lower ones.
+    """
     size, _ = unit_of(scene)
     drawn = []
 
     def add(artist):
+        artist.set_zorder(artist.get_zorder() + 10 * layer)
         axes.add_collection3d(artist)
         drawn.append(artist)
 
@@ -142,7 +148,8 @@ def draw_line(axes, scene, body: Body, line: Line, pull, air, strength=1.0, clam
     arrow = size * _arrow(scene)
     if np.any(arrow):
         tip = size * line.p[-1]
-        drawn.append(axes.quiver(*tip, *arrow, color=_FORCE, lw=1.5 * strength, zorder=7))
+        order = 7 + 10 * layer
+        drawn.append(axes.quiver(*tip, *arrow, color=_FORCE, lw=1.5 * strength, zorder=order))
     return drawn
 
 

@@ -20,6 +20,8 @@ from softrod_jax.pictures.drawing import (
 from softrod_jax.results import RESULTS, result_message
 from softrod_jax.scene import Scene
 
+_ON_TOP = 10_000
+
 
 def picture(
     scene: Scene,
@@ -82,11 +84,11 @@ def draw_stills(
     shown = np.unique(np.linspace(0, len(trajectory.ts) - 1, count).round().astype(int))
     half = [np.full(len(part), 0.5) for part in (body.tendons, body.chambers)]
     for n, k in enumerate(shown):
-        strength = 0.15 + 0.85 * ((n + 1) / len(shown)) ** 2
+        strength = 0.12 + 0.88 * ((n + 1) / len(shown)) ** 3
         line = Line(lines.p[k], lines.R[k])
-        draw_line(axes, scene, body, line, *half, strength=strength, clamp=n == 0)
+        draw_line(axes, scene, body, line, *half, strength=strength, clamp=n == 0, layer=n)
     size, _ = unit_of(scene)
-    axes.plot(*(size * lines.p[:, -1].T), color="black", lw=0.8, zorder=8)
+    axes.plot(*(size * lines.p[:, -1].T), color="black", lw=0.8, zorder=_ON_TOP)
     if measured_tip is not None:
         draw_dots(axes, size * np.asarray(measured_tip))
 
@@ -94,7 +96,7 @@ def draw_stills(
 def draw_dots(axes, points) -> None:
     """Points (n, 3), where they are known."""
     points = points[np.all(np.isfinite(points), axis=1)]
-    axes.plot(*points.T, ".", ms=2, color=MEASURED_COLOUR, zorder=8)
+    axes.plot(*points.T, ".", ms=2, color=MEASURED_COLOUR, zorder=_ON_TOP)
 
 
 def add_legend(axes, scene: Scene, tensions=None, pressures=None) -> None:
