@@ -1,0 +1,68 @@
+"""The reference: every public name, grouped by the file that it is from.
+
+    <!-- reference: softrod_jax: scene sections -->   public names that come from these files
+    <!-- reference: softrod_jax: rest -->             those that come from no file named anywhere,
+                                                      if any, under the heading "Further"
+
+A name is public if the package's `__init__` hands it on. A new one thus finds its place by itself.
+"""
+
+import ast
+import re
+from pathlib import Path
+
+ROOT = Path(__file__).parents[1]
+_COMMENT = re.compile(r"^<!-- reference: ([\w.]+): ([\w. ]+) -->$", re.MULTILINE)
+
+_placed = set()  # (package, file) of all comments on all pages
+
+
+def public_names(package: str) -> dict[str, str]:
+    """The module that each public name of `package` is from, in the order of `__init__`.
+
+    Read from the source: imports, and the table of `calibration`, whose names are imported late.
+    """
+    folder = ROOT.joinpath(*package.split("."))
+    tree = ast.parse((folder / "__init__.py").read_text(encoding="utf-8"))
+    names = {}
+    for node in tree.body:
+        if isinstance(node, ast.ImportFrom) and node.module.startswith(f"{package}."):
+            names |= {alias.asname or alias.name: node.module for alias in node.names}
+        elif isinstance(node, ast.Assign) and node.targets[0].id == "_HOME":
+            names |= ast.literal_eval(node.value)
+    return names
+
+
+def on_files(files, config):
+    _placed.clear()
+    for file in files.documentation_pages():
+        text = Path(file.abs_src_path).read_text(encoding="utf-8")
+        for package, homes in _COMMENT.findall(text):
+            _placed.update((package, home) for home in homes.split())
+    return files
+
+
+def on_page_markdown(markdown, page, config, files):
+    return _COMMENT.sub(lambda match: _entries(*match.groups()), markdown)
+
+
+def _entries(package: str, homes: str) -> str:
+    names = public_names(package)
+    home = {name: module.removeprefix(f"{package}.") for name, module in names.items()}
+    if homes == "rest":
+        chosen = [name for name in names if (package, home[name]) not in _placed]
+    else:
+        chosen = [
+            name for h in homes.split() for name in _defined(package, h) if home.get(name) == h
+        ]
+    # The anchor is the name as a user imports it.
+    entries = [f'<a id="{package}.{name}"></a>\n\n::: {names[name]}.{name}' for name in chosen]
+    heading = ["## Further"] if homes == "rest" and entries else []
+    return "\n\n".join(heading + entries)
+
+
+def _defined(package: str, home: str) -> list[str]:
+    """What a file defines, in its order."""
+    source = ROOT.joinpath(*package.split("."), *home.split(".")).with_suffix(".py")
+    body = ast.parse(source.read_text(encoding="utf-8")).body
+    return [node.name for node in body if isinstance(node, ast.ClassDef | ast.FunctionDef)]
