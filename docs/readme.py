@@ -3,7 +3,7 @@
 A line of a page that is one of these comments is replaced:
 
     <!-- readme: # Limits -->     the README's section of that heading, without the heading
-    <!-- readme: stress -->       what stands between <!-- stress: begin --> and <!-- stress: end -->
+    <!-- readme: stress -->       what is between <!-- stress: begin --> and its end
     <!-- file: CHANGELOG.md -->   a whole file
 
 Links follow: to a section of the README, the page that includes it; to a figure, a copy of it.

@@ -52,17 +52,19 @@ def _entries(package: str, homes: str) -> str:
     if homes == "rest":
         chosen = [name for name in names if (package, home[name]) not in _placed]
     else:
-        chosen = [
-            name for h in homes.split() for name in _defined(package, h) if home.get(name) == h
-        ]
+        chosen = []
+        for h in homes.split():
+            order = _definitions(package, h)
+            own = [name for name in names if home[name] == h]
+            chosen += sorted(own, key=lambda name: order.get(name, len(order)))
     # The anchor is the name as a user imports it.
     entries = [f'<a id="{package}.{name}"></a>\n\n::: {names[name]}.{name}' for name in chosen]
     heading = ["## Further"] if homes == "rest" and entries else []
     return "\n\n".join(heading + entries)
 
 
-def _defined(package: str, home: str) -> list[str]:
-    """What a file defines, in its order."""
+def _definitions(package: str, home: str) -> dict[str, int]:
+    """What a file defines, and in which order."""
     source = ROOT.joinpath(*package.split("."), *home.split(".")).with_suffix(".py")
     body = ast.parse(source.read_text(encoding="utf-8")).body
-    return [node.name for node in body if isinstance(node, ast.ClassDef | ast.FunctionDef)]
+    return {node.name: i for i, node in enumerate(body) if hasattr(node, "name")}
