@@ -1,6 +1,6 @@
 """What griffe, which reads the sources for the reference, cannot know of equinox and jaxtyping.
 
-- A module of equinox has the `__init__` that follows from its fields, as a dataclass has.
+- Modules of equinox and named tuples have the `__init__` that follows from their fields.
 - The second word of `Float[Array, "steps 3"]` is a shape and not the name of a type.
 - What a class only implements is said once, at the abstract class that asks for it.
 """
@@ -9,7 +9,7 @@ import dataclasses
 
 import griffe
 
-_MODULE = "equinox.Module"
+_WITH_FIELDS = {"equinox.Module", "typing.NamedTuple"}
 
 
 class Signatures(griffe.Extension):
@@ -18,7 +18,7 @@ class Signatures(griffe.Extension):
         classes = []
         _visit(pkg, classes)
         for cls in classes:
-            if _is_module(cls) and "__init__" not in cls.members and not _is_abstract(cls):
+            if _has_fields(cls) and "__init__" not in cls.members and not _is_abstract(cls):
                 cls.set_member("__init__", _init(cls))
         implemented = [(cls, name) for cls in classes for name in _asked_for(cls)]
         for cls, name in implemented:
@@ -64,9 +64,9 @@ def _is_of_jaxtyping(expression) -> bool:
     return isinstance(left, griffe.Expr) and left.canonical_path.startswith("jaxtyping.")
 
 
-def _is_module(cls) -> bool:
+def _has_fields(cls) -> bool:
     paths = [base if isinstance(base, str) else base.canonical_path for base in cls.bases]
-    return _MODULE in paths or any(_is_module(base) for base in _bases(cls))
+    return bool(_WITH_FIELDS & set(paths)) or any(_has_fields(base) for base in _bases(cls))
 
 
 def _is_abstract(cls) -> bool:
