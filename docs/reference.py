@@ -109,7 +109,7 @@ def _layout(package: str) -> str:
     return "\n".join("| " + " | ".join(row[:columns]) + " |" for row in rows)
 
 
-def _imports(package: str, tree, known) -> set[str]:
+def _imports(package: str, tree, known) -> list[str]:
     """The files of the package that one imports when it is imported itself."""
     found = set()
     for node in tree.body:
@@ -117,4 +117,4 @@ def _imports(package: str, tree, known) -> set[str]:
             found |= {alias.name for alias in node.names}
         elif isinstance(node, ast.ImportFrom) and node.module.startswith(f"{package}."):
             found.add(node.module.split(".")[1])
-    return found & set(known)
+    return sorted(found & set(known))
