@@ -146,7 +146,7 @@ def time_estimates(fine) -> str:
     """The estimated error in time beside the true one, of motions of 0.4 s."""
     rows = []
     for scheme, name, steps in (
-        (sr.SDIRK(4), "SDIRK(4)", (20e-3, 10e-3)),
+        (sr.SDIRK(3), "SDIRK(3)", (20e-3, 10e-3)),
         (sr.BDFAlpha(-0.45), "BDFAlpha(-0.45)", (20e-3, 10e-3, 5e-3)),
     ):
         for dt in steps:
