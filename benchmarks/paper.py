@@ -13,6 +13,7 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
+import matplotlib
 import numpy as np
 import paper_figures
 from paper_study import (
@@ -235,16 +236,17 @@ def _quote(name) -> str:
     return f"“{TEXT[name]}”"
 
 
-def main(size: Size = FULL, directory: Path = FIGURES) -> list[Claim]:
+def main(size: Size = FULL, directory: Path = FIGURES) -> tuple[Study, list[Claim]]:
     x = study(size)
     rows = claims(x)
     directory.mkdir(exist_ok=True)
     paper_figures.draw(x, directory)
     body = table(["the article", "here", ""], [list(row) for row in rows])
     publish("paper", f"{body}\n\n{machine()}.")
-    return rows
+    return x, rows
 
 
 if __name__ == "__main__":
     jax.config.update("jax_enable_x64", True)
+    matplotlib.use("agg")
     main(QUICK if "--quick" in sys.argv[1:] else FULL)

@@ -6,7 +6,7 @@ from scipy.interpolate import make_interp_spline
 
 COLOURS = ("#0072b2", "#d55e00", "#009e73")  # the three tendons
 MM, MPA = 1e3, 1e-6
-LIMITS = {"xlim": (-75, 75), "ylim": (-75, 75), "zlim": (-25, 105), "box_aspect": (150, 150, 130)}
+LIMITS = {"xlim": (-70, 70), "ylim": (-70, 70), "zlim": (0, 105), "box_aspect": (140, 140, 105)}
 
 
 def draw(study, directory) -> None:
@@ -41,13 +41,13 @@ def modulus(study):
             tension = study.levels[k]
             axes.plot(x, z, color=shade(tension / 3), label=f"{tension:.1f} N", lw=1.8)
         axes.plot(*(MM * rest.tip[0, 0, ok][:, [0, 2]].T), "k:", lw=1)
-        axes.set(xlim=(-15, 75), ylim=(-15, 105), aspect="equal", xlabel="x [mm]")
+        axes.set(xlim=(-15, 95), ylim=(-20, 105), aspect="equal", xlabel="x [mm]")
         axes.set(title=f"E = {E * MPA:.2f} MPa, one tendon, to {study.levels[ok[-1]]:.1f} N")
         axes.legend(fontsize=7, loc="upper right")
         axes.grid(alpha=0.3)
     printed.set(ylabel="z [mm]")
 
-    E, curvature = study.bending
+    E, curvature, longest = study.bending
     for turn, name in ((0.25, "quarter"), (0.5, "half"), (1.0, "one"), (2.0, "two")):
         length = 2 * np.pi * turn / curvature
         plane.plot(MM * length, E * MPA, color="0.6", lw=1)
@@ -61,9 +61,7 @@ def modulus(study):
     )
     for value, name, colour, style in lines:
         plane.axhline(value * MPA, color=colour, ls=style, lw=1.3, label=name)
-    length = np.array([0.005, 0.2])
-    slope = study.stated_E / study.length
-    plane.plot(MM * length, slope * length * MPA, color="#0072b2", label="tip moves one way to 3 N")
+    plane.plot(MM * longest, E * MPA, color="#0072b2", label="tip moves one way to 3 N")
     plane.plot(MM * study.length, study.stated_E * MPA, "o", color="#0072b2")
     plane.set(xscale="log", yscale="log", xlim=(10, 200), ylim=(0.04, 1))
     plane.set(xlabel="length [mm]", ylabel="E [MPa]", title="needed: E above the line")
@@ -77,14 +75,14 @@ def modulus(study):
 
 def shapes(study):
     """Figure 6: the robot at rest and with each tendon at 3 N, at 10 kPa."""
-    figure = plt.figure(figsize=(12, 3.8))
+    figure = plt.figure(figsize=(13, 3.6))
     titles = "(a) no tension", "(b) tendon 1, 3 N", "(c) tendon 2, 3 N", "(d) tendon 3, 3 N"
     for k, title in enumerate(titles):
         axes = _space(figure, (1, 4, k + 1), title)
         at = (0, 1, 0) if k == 0 else (k - 1, 1, -1)
         _robot(axes, study.stated, at, study)
     figure.suptitle(f"E = {study.stated_E * MPA:.2f} MPa, 10 kPa", fontsize=10)
-    figure.subplots_adjust(0.0, 0.04, 0.97, 0.9, 0.05)
+    figure.subplots_adjust(0.0, 0.04, 0.96, 0.9, 0.12)
     return figure
 
 
@@ -114,7 +112,7 @@ def path(study):
 
 def workspace(study):
     """Figure 8: the tips of the fifteen experiments, and of all tensions together."""
-    figure = plt.figure(figsize=(12, 4.2))
+    figure = plt.figure(figsize=(13, 4))
     tests = _space(figure, (1, 3, 1), "(a) fifteen experiments")
     for i, colour in enumerate(COLOURS):
         for pressure in range(5):
@@ -132,14 +130,14 @@ def workspace(study):
     above.set_title(f"from above: {len(tip):,} tensions", fontsize=9)
     above.grid(alpha=0.3)
     figure.colorbar(dots, ax=above, label="sum of the tensions [N]", shrink=0.8)
-    figure.subplots_adjust(0.0, 0.1, 0.97, 0.92, 0.15)
+    figure.subplots_adjust(0.0, 0.12, 0.97, 0.9, 0.22)
     return figure
 
 
 def components(study):
     """Figure 9: shapes under three tensions, and x and y of the tip in time."""
     figure = plt.figure(figsize=(12, 4))
-    axes = _space(figure, (1, 2, 1), "(a) 1, 2 and 3 N")
+    axes = _space(figure, (1, 2, 1), "(a) 1, 2 and 3 N, 10 kPa")
     _line(axes, study.stated, (0, 1, 0), "0.4")
     for i, colour in enumerate(COLOURS):
         for tension, alpha in ((1, 0.4), (2, 0.7), (3, 1.0)):
@@ -157,7 +155,7 @@ def components(study):
         row.set_ylim(-75, 75)
         row.set_title(f"({letter}) tendon {i + 1}", fontsize=9, pad=2)
         row.grid(alpha=0.3)
-    rows[0].legend(fontsize=8, ncols=2, loc="upper right")
+    rows[0].legend(fontsize=8, ncols=2, loc="lower right")
     rows[-1].set_xlabel("time since the pull began [s]")
     return figure
 
@@ -175,7 +173,7 @@ def _space(figure, place, title):
     axes.set(xlabel="x [mm]", ylabel="y [mm]", zlabel="z [mm]")
     axes.tick_params(labelsize=7)
     axes.set_title(title, fontsize=9)
-    axes.view_init(elev=22, azim=-62)
+    axes.view_init(elev=22, azim=-80)
     return axes
 
 
@@ -197,7 +195,7 @@ def _robot(axes, rest, at, study):
     axes.plot_surface(*np.moveaxis(tube, -1, 0), color="#c9d6e3", alpha=0.35, lw=0)
     tendons = ring(study.offset, 2 * np.pi * np.arange(3) / 3)
     for i, colour in enumerate(COLOURS):
-        pulled = rest is not None and at[2] != 0 and at[0] == i
+        pulled = at[2] != 0 and at[0] == i
         axes.plot(*tendons[:, i].T, color=colour, lw=2.4 if pulled else 1)
 
 

@@ -82,31 +82,33 @@ class Statics:
     """Equilibria without gravity, any number at once, by one compiled program."""
 
     def __init__(self, method):
-        robot = sr.hybrid_robot(ASSUMED["length"])
+        robot = sr.hybrid_robot()
 
-        def solve(E, section, tensions, pressure):
+        def solve(E, section, tensions, pressure, length):
             A, I = section
             section = sr.GeneralSection(A, I * jnp.ones(2), 2 * I)
-            scene = dataclasses.replace(robot, young_modulus=E, section=section)
+            scene = dataclasses.replace(robot, young_modulus=E, section=section, length=length)
             x = sr.solve_static(scene, tensions, pressure[None], method=method, throw=False)
             return Rest(x.tip_position, x.positions, x.quaternions, x.strains, x.result)
 
         self._solve = jax.jit(jax.vmap(solve))
 
-    def __call__(self, E, tensions, pressure, section=None) -> Rest:
+    def __call__(self, E, tensions, pressure, section=None, length=ASSUMED["length"]) -> Rest:
         """All arguments broadcast; `tensions` has the three tendons in its last axis."""
         section = np.array(solid() if section is None else section)
         tensions = np.asarray(tensions, float)
         shape = np.broadcast_shapes(
-            np.shape(E), tensions.shape[:-1], np.shape(pressure), section.shape[:-1]
+            np.shape(E), tensions.shape[:-1], np.shape(pressure), np.shape(length)
         )
         rows = lambda x, *last: np.broadcast_to(x, (*shape, *last)).reshape(-1, *last)
-        columns = rows(E), rows(section, 2), rows(tensions, 3), rows(pressure)
+        columns = rows(E), rows(section, 2), rows(tensions, 3), rows(pressure), rows(length)
         missing = -len(columns[0]) % CHUNK
         columns = [np.concatenate([x, x[:1].repeat(missing, 0)]) for x in columns]
         columns[2][len(columns[2]) - missing :] = 0.0  # unloaded: solved at once
         parts = [
-            self._solve(columns[0][k], tuple(columns[1][k].T), columns[2][k], columns[3][k])
+            self._solve(
+                columns[0][k], tuple(columns[1][k].T), columns[2][k], columns[3][k], columns[4][k]
+            )
             for k in np.arange(len(columns[0])).reshape(-1, CHUNK)
         ]
         out = [np.concatenate([np.asarray(part) for part in x]) for x in zip(*parts, strict=True)]
@@ -153,16 +155,25 @@ def smallest_modulus(statics, count, section, pressure):
 def monotone_modulus(statics):
     """The smallest E [Pa] at which the tip moves along x up to the highest tension.
 
-    Softer, it comes back before 3 N: the rod curls up. In units of E / L, as there is no gravity.
+    Softer, it comes back before 3 N: the rod curls up.
     """
-
-    def holds(E):
-        tension = HIGHEST * np.array([1 - 1e-3, 1.0])[:, None]
-        rest = statics(E, one_by_one(tension)[0], FIGURE_6_PRESSURE)
-        return (rest.tip[1, :, 0] > rest.tip[0, :, 0]) & np.all(rest.result == 0, axis=0)
-
     # Below, with several turns, the tip goes to and fro: search from where a turn is a half.
-    return float(threshold(holds, 6 * PRINTED_E, 20 * PRINTED_E))
+    return float(threshold(lambda E: moves_out(statics, E), 6 * PRINTED_E, 20 * PRINTED_E))
+
+
+def monotone_length(statics, E, curvature):
+    """The longest robot [m] of which the tip does so, for each E [Pa]; curvatures at 3 N [1/m]."""
+    comes_back = lambda length: ~moves_out(statics, E, length)
+    return threshold(comes_back, 0.5 / curvature, 4 / curvature)
+
+
+def moves_out(statics, E, length=ASSUMED["length"]):
+    """Whether the tip moves along x with one tendon's tension, at 3 N and 10 kPa."""
+    less, more = (
+        statics(E, one_by_one(tension)[0], FIGURE_6_PRESSURE, length=length)
+        for tension in HIGHEST * np.array([1 - 1e-4, 1 + 1e-4])
+    )
+    return (more.tip[..., 0] > less.tip[..., 0]) & (more.result == 0)
 
 
 def schedule(dt):
@@ -255,7 +266,7 @@ class Study(NamedTuple):
     ts: np.ndarray
     tips: np.ndarray  # (pressures, times, 3)
     step_error: float  # m, of the printed step and scheme; NaN in quick mode
-    bending: tuple  # moduli [Pa], and the curvature [1/m] of one tendon at 3 N
+    bending: tuple  # moduli [Pa]; curvature [1/m] of one tendon at 3 N; `monotone_length` [m]
     weak_gaps: np.ndarray  # (pressures,) m, tips of the printed E under a part of the tension
     loads: dict  # gravity, stiffness, contact force; empty in quick mode
 
@@ -275,9 +286,10 @@ def study(size: Size = FULL) -> Study:
     printed, stated = (statics(x, tensions, pressures[:, None]) for x in (PRINTED_E, E))
     cube = HIGHEST * np.random.default_rng(0).uniform(size=(size.cube, 3))
     cube_share = float(np.mean(statics(PRINTED_E, cube, FIGURE_6_PRESSURE).result == 0))
-    grid_E = np.geomspace(moduli[1, "solid"], 20 * PRINTED_E, 40)
+    grid_E = np.geomspace(1.01 * moduli[1, "solid"], 24 * PRINTED_E, 40)
     bent = statics(grid_E, one_by_one(HIGHEST)[0], 0.0)
-    bending = grid_E, np.linalg.norm(bent.strains[:, 0, 3:], axis=-1)
+    curvature = np.linalg.norm(bent.strains[:, 0, 3:], axis=-1)
+    bending = grid_E, curvature, monotone_length(statics, grid_E, curvature)
     axis = np.linspace(0, HIGHEST, size.workspace)
     grid = np.stack(np.meshgrid(axis, axis, axis, indexing="ij"), axis=-1)
     workspace = statics(E, grid, FIGURE_6_PRESSURE)
