@@ -47,6 +47,8 @@ TEXT = {  # the article's words
     "the simultaneous pulling of the three tendons",
     "motors": "To accurately estimate the tension of the tendons, the pulley’s diameter was "
     "incorporated in conjunction with the motor torque control capabilities",
+    "pressure": "to investigate the influence of the chamber pressure and tendon tension on the "
+    "deformation of a soft robot",
     "return": "the first tendon was released, causing the tip of the soft robot to return to its "
     "original position",
     "hysteresis": "the observed amount of hysteresis during the experiments had a negligible "
@@ -186,7 +188,7 @@ def claims(x: Study) -> list[Claim]:
             agrees(np.allclose(force, cap, atol=1e-9)),
         ),
         Claim(
-            "influence of the chamber pressure",
+            _quote("pressure"),
             f"{E}: from 0 to 40 kPa the tip at 3 N moves {apart / L:.1%} of L; the free robot "
             f"lengthens by {stretch[-1]:.1%} "
             f"({cap[-1] / (PRINTED_E * solid()[0]):.1%} at 0.05 MPa)",

@@ -235,17 +235,24 @@ class Loaded:
 
 
 def blocked_force(loaded, E):
-    """The force [N] across the tip that holds it on the axis against one tendon at 3 N."""
-    force, tension = np.zeros(3), HIGHEST * np.eye(3)[0]
-    for _ in range(20):
-        compliance, (tip, result, _) = loaded(force, E, ASSUMED["length"], 0.0, tension, 0.0)
-        if result[0] != 0:
+    """The force [N] across the tip that holds it on the axis against one tendon at 3 N.
+
+    By Newton's method, while the tension rises; NaN where that fails.
+    """
+    force = np.zeros(3)
+    for tension in np.linspace(0, HIGHEST, 9)[1:]:
+        for _ in range(8):
+            pull = tension * np.eye(3)[0]
+            compliance, (tip, result, _) = loaded(force, E, ASSUMED["length"], 0.0, pull, 0.0)
+            if result[0] != 0:
+                return np.nan
+            change = -tip[0, 0] / compliance[0, 0, 0]
+            force = force + np.array([change, 0, 0])
+            if abs(change) < 1e-6:
+                break
+        else:
             return np.nan
-        change = -tip[0, 0] / compliance[0, 0, 0]
-        force = force + np.array([change, 0, 0])
-        if abs(change) < 1e-9:
-            return -force[0]
-    return np.nan
+    return -force[0]
 
 
 class Study(NamedTuple):
