@@ -38,7 +38,7 @@ import softrod_jax as sr
 FIGURES = Path(__file__).parent / "figures"
 GRAM_FORCE = 9.80665e-3  # N
 
-TEXT = {  # the article's words
+TEXT = {  # the article's words; "moments" and "cap" hold formulas, "steps" is two rows of Table 1
     "fifteen": "a series of fifteen experiments",
     "range": "a tension range of 0 to 3 N for each tendon and an air pressure range of 0 to 40 kPa",
     "figure 6": "the impact of a 3 N tendon tension on each motor individually, while applying an "
