@@ -6,7 +6,7 @@ slower one. Devices do not wait for each other either, until results are gathere
 """
 
 import hashlib
-from typing import Callable
+from collections.abc import Callable
 
 import jax
 import jax.numpy as jnp

@@ -10,8 +10,8 @@ import json
 import os
 import socket
 import zipfile
+from collections.abc import Callable
 from pathlib import Path
-from typing import Callable, Optional
 
 import jax
 import numpy as np
@@ -29,7 +29,7 @@ def sweep(
     directory: str | os.PathLike,
     chunk: int,
     devices=None,
-    share: Optional[tuple[int, int]] = None,
+    share: tuple[int, int] | None = None,
 ):
     """`spread(function)(*arguments)`, kept on disk while it is computed; as NumPy arrays.
 
@@ -72,7 +72,8 @@ def sweep(
         if not store.path(k).exists():
             rows = store.rows(k)
             # A last chunk of another size would be another program to compile.
-            out = on_all(*jax.tree.map(lambda x: padded(x[rows], chunk), arguments))
+            samples = jax.tree.map(lambda x, rows=rows: padded(x[rows], chunk), arguments)
+            out = on_all(*samples)
             size = rows.stop - rows.start
             store.write(k, [np.asarray(x)[:size] for x in jax.tree.leaves(out)])
     parts = [store.read(k) for k in range(store.chunks)]

@@ -31,7 +31,7 @@ def environment() -> dict:
 def run_together(script: str, count: int, *arguments: str, timeout: float) -> None:
     """`script` in `count` processes, with the coordinator's address and their own number.
 
-    Raises `AssertionError` with what they wrote if one fails or they take longer than `timeout` [s].
+    Raises `AssertionError` with what they wrote if one fails, or after `timeout` [s].
     """
     for _ in range(_PORTS_TRIED):
         failure = _run_once(script, count, arguments, f"127.0.0.1:{free_port()}", timeout)

@@ -1,6 +1,5 @@
 """What is computed in one process and in several, to be compared."""
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 
