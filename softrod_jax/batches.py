@@ -36,7 +36,8 @@ def spread(function: Callable, devices=None, *, gather: bool = True) -> Callable
       number of samples must then be a multiple of the number of devices.
 
     An argument may itself be such a divided array, of which no process has the whole batch: see
-    `jax.make_array_from_process_local_data`. In one process `gather` changes nothing.
+    `jax.make_array_from_process_local_data`. In one process `gather` changes nothing. If a process
+    is lost, JAX ends the others with an error within minutes; see `sweep` for what is kept.
 
     Raises `ValueError` if the arguments' leading axes differ, if processes call with different
     batches, or if no device is of this process.

@@ -44,11 +44,12 @@ def sweep(
     - `chunk`: samples in each file; a multiple of the number of devices leaves none idle.
     - `devices`: of this process; by default all of them.
     - `share`: (number, processes), counted from 0, of each of several processes that sweep
-      together into a directory they all see. By default those of `jax.distributed`, which is not
-      needed: processes that are started by themselves may be given their share.
+      together into a directory they all see. They are best started by themselves: those that
+      `jax.distributed` connects, whose numbers are the default, end within minutes of one that is
+      lost, and another run has to go on.
 
     Each process returns the whole result. Towards the end, processes that have nothing else to do
-    may compute a chunk that another is still computing, to the same result.
+    may compute a chunk that another is still computing, which does no harm.
 
     Raises `SweepError` if `directory` holds a sweep of another function, other settings or scene,
     other samples or another `chunk`, computed with other versions of this package or of JAX if
