@@ -18,11 +18,11 @@ from jaxtyping import Array, Float
 
 import softrod_jax as sr
 from calibration.alignment import Alignment, align
-from softrod_jax.compiling import compiler_options
 from calibration.model import Batch, Clock, Motion, simulate_motion, tip_at
 from calibration.parameters import with_values
 from calibration.setup import Setup
 from calibration.unknowns import Unknowns, conditioned
+from softrod_jax.compiling import compiler_options
 
 # A residual of a simulation that failed, in rod lengths: worse than any motion of the rod.
 _FAILED = 10.0
