@@ -5,7 +5,7 @@ corrections. The steps are those of `simulate`. A state is a pytree: it goes thr
 `vmap`, `grad` and `lax.scan`.
 """
 
-from typing import Any, NamedTuple, Optional
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
@@ -19,7 +19,6 @@ from softrod_jax.marching import Course, make_stepping
 from softrod_jax.method import Method
 from softrod_jax.newton import NewtonOptions
 from softrod_jax.precision import require_float64
-from softrod_jax.results import RESULTS
 from softrod_jax.rod import clamp_pose
 from softrod_jax.rotations import to_base
 from softrod_jax.scene import Scene, as_arrays
@@ -33,8 +32,8 @@ class Action(NamedTuple):
     `None`: these actuators are at zero. In `Stepper.rollout` both have one row a step.
     """
 
-    tensions: Optional[Float[Array, "*steps tendons"]] = None
-    pressures: Optional[Float[Array, "*steps chambers"]] = None
+    tensions: Float[Array, "*steps tendons"] | None = None
+    pressures: Float[Array, "*steps chambers"] | None = None
 
 
 class RodState(eqx.Module):
@@ -138,7 +137,7 @@ class Stepper(eqx.Module):
         self.scheme, self.method, self.newton = scheme, method, newton
 
     def reset(
-        self, initial: Optional[StaticSolution] = None, action: Optional[Action] = None
+        self, initial: StaticSolution | None = None, action: Action | None = None
     ) -> RodState:
         """The state of a rod at rest: unloaded, with all actuators at zero.
 
@@ -176,7 +175,7 @@ class Stepper(eqx.Module):
         return _step(self, state, action, state.jumps if jump is None else jnp.asarray(jump))
 
     def rollout(
-        self, state: RodState, actions: Action, jumps: Optional[Bool[Array, "steps"]] = None
+        self, state: RodState, actions: Action, jumps: Bool[Array, "steps"] | None = None
     ) -> tuple[RodState, RodView]:
         """Steps through `actions`, (steps, tendons) and (steps, chambers), one row a step.
 
@@ -218,9 +217,7 @@ class Stepper(eqx.Module):
                 return values
             return jnp.zeros((*rows, actuators.count))
 
-        return Action(
-            filled(tensions, self.scene.tendons), filled(pressures, self.scene.chambers)
-        )
+        return Action(filled(tensions, self.scene.tendons), filled(pressures, self.scene.chambers))
 
 
 def reset_where(done: Bool[Array, ""], fresh: RodState, state: RodState) -> RodState:
@@ -262,9 +259,8 @@ def _step(stepper, state, action, jump):
     finite = jnp.all(jnp.array([True, *good]))
     # Zeros in the place of what is not finite spoil no derivative.
     action = jax.tree.map(lambda x: jnp.where(finite, x, 0.0), action)
-    course = Course(
-        state.action, action, jax.tree.map(lambda x: jnp.broadcast_to(jump, x.shape), action), finite
-    )
+    jumps = jax.tree.map(lambda x: jnp.broadcast_to(jump, x.shape), action)
+    course = Course(state.action, action, jumps, finite)
     restart = state.first | jump
     length = stepper.dt / stepper.substeps
     coefficients = stepper.scheme.coefficients(length, restart[None])[0]
