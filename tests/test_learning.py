@@ -17,7 +17,7 @@ from softrod_jax.learning import Action, Stepper, reset_where
 from softrod_jax.time_schemes import jumps
 
 SCENE = sr.hybrid_robot(gravity=jnp.array([-2.0, 0.0, 9.81]))
-GRID, DT, STEPS = sr.Collocation(4, order=6), 0.015, 10
+GRID, DT, STEPS = sr.Collocation(4, order=6), 0.03, 10
 BDF = dict(scheme=sr.BDFAlpha(), method=GRID)
 
 
@@ -29,8 +29,22 @@ def inputs():
     return tensions, pressures
 
 
-@pytest.mark.parametrize("scheme", [sr.BDFAlpha(), sr.SDIRK(2)], ids=str)
-def test_steps_are_those_of_simulate(scheme):
+def by_rollout(stepper, actions, jump):
+    return stepper.rollout(stepper.reset(), actions, jump)
+
+
+def by_single_steps(stepper, actions, jump):
+    state, seen = stepper.reset(), []
+    for k in range(STEPS):
+        state = stepper.step(state, jax.tree.map(lambda x, k=k: x[k], actions), jump[k])
+        seen.append(stepper.view(state))
+    return state, jax.tree.map(lambda *rows: jnp.stack(rows), *seen)
+
+
+@pytest.mark.parametrize(
+    "scheme, go", [(sr.BDFAlpha(), by_single_steps), (sr.SDIRK(2), by_rollout)], ids=str
+)
+def test_steps_are_those_of_simulate(scheme, go):
     """To rounding, inputs that jump among them."""
     tensions, pressures = inputs()
     tensions[6:, 0] += 0.1  # a stepper's action jumps as a whole
@@ -38,33 +52,29 @@ def test_steps_are_those_of_simulate(scheme):
     assert np.flatnonzero(jump).tolist() == [0, 6]
     motion = sr.simulate(SCENE, DT, tensions, pressures, scheme=scheme, method=GRID)
     stepper = Stepper(SCENE, DT, scheme=scheme, method=GRID)
-    state, seen = stepper.rollout(stepper.reset(), Action(tensions, pressures), jump)
+    state, seen = go(stepper, Action(tensions, pressures), jump)
     np.testing.assert_allclose(seen.time, motion.ts[1:], rtol=1e-12)
     np.testing.assert_allclose(seen.tip_position, motion.tip_positions[1:], atol=1e-12)
     np.testing.assert_allclose(seen.tip_velocity, motion.tip_velocities[1:], atol=1e-11)
     np.testing.assert_allclose(seen.positions, motion.positions[1:], atol=1e-12)
     np.testing.assert_allclose(seen.strains, motion.strains[1:], atol=1e-10)
-    assert np.abs(motion.tip_positions[-1] - motion.tip_positions[0]).max() > 5e-3
+    assert np.ptp(motion.tip_positions, axis=0).max() > 5e-3
     assert state.result == 0
 
 
-def test_one_step_after_the_other_from_an_equilibrium():
-    """`step` in a Python loop, from where `reset` is told to begin."""
+def test_a_rod_in_equilibrium_stays_there():
     held = Action(jnp.array([0.1, 0.0, 0.0]), jnp.array([1e4]))
     initial = sr.solve_static(SCENE, *held, method=GRID)
     stepper = Stepper(SCENE, DT, **BDF)
-    state = start = stepper.reset(initial, held)
+    state = stepper.reset(initial, held)
+    # Only from an unloaded rod does the first action jump by default, as in `simulate`.
+    assert stepper.reset().jumps and not state.jumps
     np.testing.assert_allclose(stepper.view(state).tip_position, initial.tip_position, atol=1e-14)
     for _ in range(3):
         state = stepper.step(state, held)
-    # The first step is one of backward Euler, whose factors know nothing of this rod.
+        assert not state.jumps
     np.testing.assert_allclose(stepper.view(state).tip_position, initial.tip_position, atol=1e-9)
     np.testing.assert_allclose(state.velocities, 0.0, atol=1e-7)
-    # An action that ramps from there moves the rod less in its step than one that jumps.
-    more = Action(held.tensions + 0.1, held.pressures)
-    ramp, jump = (stepper.step(start, more, jump=jump) for jump in (False, True))
-    moved = [np.linalg.norm(x.strains - start.strains) for x in (ramp, jump)]
-    assert 0 < 1.5 * moved[0] < moved[1]
 
 
 # A batch of rods that a small policy drives. What the tests ask of it is one program.
@@ -94,7 +104,7 @@ def drive(params, target, reset_at, poison):
         state = reset_where(k == reset_at, fresh, state)
         view = stepper.view(state)
         seen = jnp.concatenate([view.tip_position / 0.1, view.tip_velocity, target / 0.1])
-        tension = 0.1 * jax.nn.sigmoid(params["policy"](seen) - 2) + pull
+        tension = 0.3 * jax.nn.sigmoid(params["policy"](seen) - 2) + pull
         tension = tension.at[0].add(jnp.where(k < reset_at, poison, 0.0))
         state = stepper.step(state, Action(tension))
         return state, (stepper.view(state).tip_position, state.result)
@@ -103,10 +113,10 @@ def drive(params, target, reset_at, poison):
 
 
 def losses(params, targets, reset_at, poison, weights):
-    """Mean square distance of the tips to the targets [cm^2], and all paths and codes."""
+    """Mean square distance to the targets in the second half [cm^2], and all paths and codes."""
     batch = jax.vmap(partial(drive, params))(targets, reset_at, poison)
     far = jnp.sum((batch[0] - targets[:, None]) ** 2, -1) * 1e4
-    return jnp.sum(weights * jnp.mean(far, axis=1)), batch
+    return jnp.sum(weights * jnp.mean(far[:, STEPS // 2 :], axis=1)), batch
 
 
 @pytest.fixture(scope="module")
@@ -167,8 +177,6 @@ def test_forward_reverse_and_differences_agree_through_steps(loss_and_slope, par
 
 
 def test_a_batch_is_a_loop_and_each_sample_resets_by_itself(loss_and_slope, params):
-    (_, (tips, result)), _ = loss_and_slope(params, targets=TARGETS[:1].repeat(3, 0))
-    assert not np.any(result)
     at = (3, NEVER, 6)
     same = {**params, "pulls": params["pulls"][:1].repeat(STEPS, 0)}
     (_, (tips, result)), _ = loss_and_slope(same, at, targets=TARGETS[:1].repeat(3, 0))
@@ -182,7 +190,7 @@ def test_a_batch_is_a_loop_and_each_sample_resets_by_itself(loss_and_slope, para
     for k in range(STEPS):
         view = stepper.view(state)
         seen = [view.tip_position / 0.1, view.tip_velocity, TARGETS[0] / 0.1]
-        tension = 0.1 * jax.nn.sigmoid(same["policy"](jnp.concatenate(seen)) - 2)
+        tension = 0.3 * jax.nn.sigmoid(same["policy"](jnp.concatenate(seen)) - 2)
         state = stepper.step(state, Action(tension + same["pulls"][k]))
         np.testing.assert_allclose(stepper.view(state).tip_position, tips[1, k], atol=1e-12)
 
@@ -256,7 +264,7 @@ class Model(eqx.Module):
     rod: learning.RodLayer
 
     def __call__(self, commands):
-        return self.rod(jax.nn.softplus(jax.vmap(self.gains)(commands)))
+        return self.rod(0.2 * jax.nn.softplus(jax.vmap(self.gains)(commands)))
 
 
 def test_a_layer_in_a_model():
@@ -295,12 +303,11 @@ def test_the_environment_checks(recwarn):
     gymnasium = pytest.importorskip("gymnasium")
     from gymnasium.utils.env_checker import check_env
 
-    import softrod_jax.learning.environment  # noqa: F401
-
     kwargs = dict(scene=SCENE, dt=DT, max_steps=4, method=GRID)
-    environment = gymnasium.make("softrod/Reach-v0", **kwargs).unwrapped
+    name = "softrod_jax.learning.environment:softrod/Reach-v0"
+    environment = gymnasium.make(name, **kwargs).unwrapped
     check_env(environment)
-    assert not recwarn.list
+    assert not recwarn.list, [str(w.message) for w in recwarn.list]
 
     def episode(seed):
         seen, info = environment.reset(seed=seed)

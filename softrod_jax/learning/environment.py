@@ -85,7 +85,7 @@ class ReachEnv(gymnasium.Env):
             raise ValueError("ReachEnv: the scene has no tendons and no chambers; add actuators")
         self._limits = np.repeat([tension_limit, pressure_limit], [self._tendons, chambers])
         self.action_space = gymnasium.spaces.Box(-1.0, 1.0, self._limits.shape, np.float32)
-        sizes = np.repeat([_REACH, _SPEED, _REACH, 1.0], [3, 3, 3, self._limits.size])
+        sizes = np.repeat(np.float32([_REACH, _SPEED, _REACH, 1]), [3, 3, 3, self._limits.size])
         self.observation_space = gymnasium.spaces.Box(-sizes, sizes, dtype=np.float32)
         self._fresh = None
         self._state = None
