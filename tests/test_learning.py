@@ -42,7 +42,9 @@ def by_single_steps(stepper, actions, jump):
 
 
 @pytest.mark.parametrize(
-    "scheme, go", [(sr.BDFAlpha(), by_single_steps), (sr.SDIRK(2), by_rollout)], ids=str
+    "scheme, go",
+    [(sr.BDFAlpha(), by_single_steps), (sr.SDIRK(2), by_rollout)],
+    ids=["bdf", "sdirk"],
 )
 def test_steps_are_those_of_simulate(scheme, go):
     """To rounding, inputs that jump among them."""
@@ -138,6 +140,7 @@ def params():
     return {"policy": policy_of(jax.random.key(0)), "pulls": pulls, "log_E": jnp.zeros(())}
 
 
+@pytest.mark.long
 def test_forward_reverse_and_differences_agree_through_steps(loss_and_slope, params):
     """In the actions, in Young's modulus, and in the weights of a policy in the loop."""
     arrays, static = eqx.partition(params, eqx.is_array)
