@@ -17,7 +17,7 @@ from jaxtyping import Array, Float
 
 import softrod_jax as sr
 from calibration.alignment import Alignment, align
-from calibration.compiling import compiler_options
+from softrod_jax.compiling import compiler_options
 from calibration.model import Batch, Clock, Motion, simulate_motion, tip_at
 from calibration.parameters import with_values
 from calibration.setup import Setup

@@ -14,6 +14,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from softrod_jax.collocation import Collocation
+from softrod_jax.compiling import compiled
 from softrod_jax.inputs import actuation
 from softrod_jax.marching import Course, make_stepping
 from softrod_jax.method import Method
@@ -241,7 +242,7 @@ def _stepping(stepper, action, strain=None):
     )
 
 
-@eqx.filter_jit
+@compiled
 def _reset(stepper, initial, action):
     from_rest = initial is None
     strain = None if from_rest else initial.point_strains
@@ -253,7 +254,7 @@ def _reset(stepper, initial, action):
     return RodState(jnp.zeros(()), action, memory, running, true, true & from_rest, made_by)
 
 
-@eqx.filter_jit
+@compiled
 def _step(stepper, state, action, jump):
     good = [jnp.all(jnp.isfinite(x)) for x in jax.tree.leaves(action)]
     finite = jnp.all(jnp.array([True, *good]))
@@ -270,7 +271,7 @@ def _step(stepper, state, action, jump):
     return RodState(state.time + stepper.dt, action, memory, running, no, no, state.made_by)
 
 
-@eqx.filter_jit
+@compiled
 def _rollout(stepper, state, actions, jumps):
     def one(state, row):
         action, jump = row
@@ -280,7 +281,7 @@ def _rollout(stepper, state, actions, jumps):
     return jax.lax.scan(one, state, (actions, jumps))
 
 
-@eqx.filter_jit
+@compiled
 def _view(stepper, state):
     method, scene = stepper.method, stepper.scene
     positions, quaternions = method.shape(state.strains, scene.length, *clamp_pose(scene))
