@@ -220,9 +220,7 @@ def _drift(text: str) -> tuple[str, float]:
     try:
         return name.strip(), float(duration)
     except ValueError:
-        raise UsageError(
-            f"--drift {text}: expected WHAT=DURATION, such as clock=5 [s]"
-        ) from None
+        raise UsageError(f"--drift {text}: expected WHAT=DURATION, such as clock=5 [s]") from None
 
 
 def _recordings(args, paths, scene):
