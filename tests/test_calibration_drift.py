@@ -90,12 +90,25 @@ def test_windows_find_the_truth(fits, drifting):
     assert windows.time_offset_s["log"] == pytest.approx(LATE, abs=2e-3)
 
 
-def test_a_drift_of_the_inputs_ruins_a_plain_fit_beyond_its_interval(fits):
-    plain, windows = fits["inputs"]
-    error = abs(plain.parameters["young_modulus"].value - TRUTH["young_modulus"])
-    assert error > half_width(plain, "young_modulus")
-    error = abs(windows.parameters["young_modulus"].value - TRUTH["young_modulus"])
-    assert error < half_width(windows, "young_modulus")
+def misses(found):
+    """Parameters whose 95 % interval does not hold the truth."""
+    ends = {name: found.parameters[name].ci95 for name in TRUTH}
+    return [name for name, (low, high) in ends.items() if not low < TRUTH[name] < high]
+
+
+def test_a_creeping_tendon_ruins_plain_fits_beyond_their_intervals(fits):
+    pairs = [fits["inputs"]]
+    for seed in (1, 2):
+        recording = log("inputs", seed)
+        pairs.append((fit(recording), fit(recording, DRIFT)))
+    assert all(misses(plain) for plain, _ in pairs)
+    # One in twenty may.
+    assert sum(len(misses(windows)) for _, windows in pairs) <= 1
+    errors = [
+        [abs(f.parameters["young_modulus"].value / TRUTH["young_modulus"] - 1) for f in pair]
+        for pair in pairs
+    ]
+    assert all(windows < 0.2 * plain for plain, windows in errors)
 
 
 @pytest.mark.parametrize(
@@ -137,7 +150,7 @@ def test_derivatives_by_drifts():
     np.testing.assert_allclose(reverse.gradient, point.gradient, rtol=1e-6)
 
 
-def test_a_release_has_no_drift(fits):
+def test_bad_drifts():
     with pytest.raises(ValueError, match="'weather' is unknown"):
         durations({"weather": 1.0})
     with pytest.raises(ValueError, match="clock = 0 s"):
