@@ -37,7 +37,7 @@ SCHEMES = [  # and their time steps [ms]
     (sr.SDIRK(4), (20, 10, 5)),
 ]
 FINE_SCHEME, FINE_STEP = sr.SDIRK(4), 1
-TENDON_SCHEMES = [(sr.BDFAlpha(-0.45), (10, 5, 2, 1)), (sr.SDIRK(4), (20, 10, 5))]
+TENDON_SCHEMES = [(sr.BDFAlpha(-0.45), (10, 5, 2, 1)), (sr.SDIRK(3), (20, 10, 5))]
 # SDIRK holds tensions within a step, which is an error of first order.
 FINE_TENDON_SCHEME, FINE_TENDON_STEP = sr.BDFAlpha(-0.45), 0.25
 

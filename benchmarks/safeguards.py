@@ -85,10 +85,10 @@ def compare(tendon: bool, scheme):
 
 def main():
     rows = []
-    for scheme in (sr.SDIRK(4), sr.BDFAlpha(-0.2)):
+    for scheme in (sr.SDIRK(3), sr.BDFAlpha(-0.2)):
         for tendon in (False, True):
             bare, safe, low, middle, high = compare(tendon, scheme)
-            name = "SDIRK(4)" if scheme.one_step else f"BDFAlpha({scheme.alpha:g})"
+            name = "SDIRK(3)" if scheme.one_step else f"BDFAlpha({scheme.alpha:g})"
             where = "gravity and a tendon" if tendon else "gravity"
             ratio = f"{middle:.2f} ({low:.2f}, {high:.2f})"
             rows.append([f"`{name}`", where, f"{bare:.2f}", f"{safe:.2f}", ratio])

@@ -50,7 +50,7 @@ def programs(tension: bool):
 
     return values, {
         "static solve": (static, 1),
-        "step of `SDIRK(4)`": (lambda values: motion(values, sr.SDIRK(4)), STEPS),
+        "step of `SDIRK(3)`": (lambda values: motion(values, sr.SDIRK(3)), STEPS),
         "step of `BDFAlpha(-0.45)`": (motion, STEPS),
         "the same and reverse gradient": (jax.value_and_grad(loss), STEPS),
         "the same and forward Jacobian": (jax.jacfwd(motion), STEPS),

@@ -139,16 +139,18 @@ def march(scene, dt, inputs, strain, steps, substeps, scheme, method, options) -
             found, fields = solved.found, solved.fields
             result = jnp.where(valid, found.result, RESULTS.bad_input).astype(jnp.int32)
             _, q, w, _, _ = layout.split(fields.y)
+            # No answer depends on where the next search starts, or on estimates: they have no
+            # derivatives to carry along.
             running = running._replace(
-                guess=Guess(fields.y, fields.strain),
-                loads=rod,
-                rate=c0 * fields.strain + history.strain,
+                guess=jax.lax.stop_gradient(Guess(fields.y, fields.strain)),
+                loads=jax.lax.stop_gradient(rod),
+                rate=jax.lax.stop_gradient(c0 * fields.strain + history.strain),
                 factors=solved.factors,
                 c0=jnp.where(found.contraction < _LEND, c0, 0.0),
                 result=jnp.where(running.result == 0, result, running.result),
                 iterations=running.iterations + found.iterations,
                 correction=jnp.maximum(running.correction, found.correction),
-                error=jnp.maximum(running.error, fields.error),
+                error=jnp.maximum(running.error, jax.lax.stop_gradient(fields.error)),
             )
             return Fields(fields.strain, jnp.concatenate([q, w], -1)), running
 

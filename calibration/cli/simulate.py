@@ -57,7 +57,7 @@ def add_arguments(parser) -> None:
         "--alpha",
         type=float,
         metavar="A",
-        help="BDF-alpha in time, -0.5 to 0, instead of SDIRK of order 4",
+        help="BDF-alpha in time, -0.5 to 0, instead of SDIRK of order 3",
     )
 
 
