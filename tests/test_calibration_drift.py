@@ -128,6 +128,7 @@ def test_what_drifted_is_told(fits, channel, end, tolerance):
     assert any("log drifted" in remark for remark in content["remarks"])
 
 
+@pytest.mark.long
 def test_derivatives_by_drifts():
     """Forward, reverse and finite differences agree."""
     recording, scene = log("tip").window(0.0, 0.6), robot(young_modulus=2.6e5)
