@@ -18,13 +18,13 @@ from jaxtyping import Array, Float
 import softrod_jax as sr
 from calibration import drift
 from calibration.alignment import Alignment, align
-from calibration.compiling import compiler_options
 from calibration.drift import Clock
 from calibration.model import Batch, Motion, driven, simulate_motion, tip_at
 from calibration.onset import white_noise
 from calibration.parameters import with_values
 from calibration.setup import Setup
 from calibration.unknowns import Unknowns, conditioned
+from softrod_jax.compiling import compiler_options
 
 # A residual of a simulation that failed, in rod lengths: worse than any motion of the rod.
 _FAILED = 10.0
