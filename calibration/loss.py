@@ -2,8 +2,9 @@
 
 One compiled program gives residuals and their forward sensitivities; every part of a fit (coarse
 search, gradient descent, Levenberg-Marquardt, uncertainty) calls it and nothing else, so that it
-is compiled once. All recordings run through it in one call. Gradient descent by many parameters
-uses another, of reverse mode, whose cost does not grow with their number.
+is compiled once. All recordings run through it in one call, divided between all devices. Gradient
+descent by many parameters uses another, of reverse mode, whose cost does not grow with their
+number.
 """
 
 from dataclasses import dataclass, replace
@@ -85,12 +86,13 @@ def _compiled(function):
     return jax.jit(function, static_argnames=static, compiler_options=compiler_options())
 
 
-def _each(one, *inputs):
-    """`one` of every recording, in one program."""
-    # Batched small matrices gain nothing on a CPU, and each step would wait for the slowest.
-    if jax.default_backend() == "cpu":
-        return jax.lax.map(lambda args: one(*args), inputs)
-    return jax.vmap(one)(*inputs)
+def _each(one, batch: Batch, *inputs):
+    """`one` of every recording, in one program, on all devices of all processes."""
+    devices = jax.devices()
+    if jax.process_count() == 1:
+        # One without a recording would only repeat another's work.
+        devices = devices[: batch.dt.shape[0]]
+    return sr.spread(one, devices)(batch, *inputs)
 
 
 def _moved(own: Setup, recording: Batch, course, scheme, method) -> Motion:
