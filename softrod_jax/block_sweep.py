@@ -27,25 +27,26 @@ class Factors(NamedTuple):
 
     inverse: Float[Array, "m n n"]  # of [right_a, left_b]
     T11: Float[Array, "m a a"]
-    T12: Float[Array, "m a 6"]
-    S: Float[Array, "m 6 a"]
-    W: Float[Array, "m 6 6"]  # (I - S T12)^-1
-    inwards: Float[Array, "m 6 6"]  # T22 W: g_k by g_{k+1}
-    V: Float[Array, "m 6 a"]  # W S T11: db_{k+1} by da_k
+    T12: Float[Array, "m a b"]
+    S: Float[Array, "m b a"]
+    W: Float[Array, "m b b"]  # (I - S T12)^-1
+    inwards: Float[Array, "m b b"]  # T22 W: g_k by g_{k+1}
+    V: Float[Array, "m b a"]  # W S T11: db_{k+1} by da_k
     outwards: Float[Array, "m a a"]  # T11 + T12 V: da_{k+1} by da_k
 
 
-def factorise(left: Float[Array, "m n n"], right: Float[Array, "m n n"], tip_slope) -> Factors:
-    """Prepare the sweeps. `tip_slope`: (6, a)."""
-    n = left.shape[-1]
-    a = n - 6
+def factorise(
+    left: Float[Array, "m n n"], right: Float[Array, "m n n"], tip_slope: Float[Array, "b a"]
+) -> Factors:
+    """Prepare the sweeps. `tip_slope`: (b, a)."""
+    b, a = tip_slope.shape
     inverse = _inverse(jnp.concatenate([right[..., :a], left[..., a:]], -1))
     T = -inverse @ jnp.concatenate([left[..., :a], right[..., a:]], -1)
     T11, T12, T21, T22 = T[:, :a, :a], T[:, :a, a:], T[:, a:, :a], T[:, a:, a:]
 
     def inwards(S, T):
         T11, T12, T21, T22 = T
-        W = _inverse(jnp.eye(6) - S @ T12)
+        W = _inverse(jnp.eye(b) - S @ T12)
         V = W @ (S @ T11)
         return T21 + T22 @ V, (S, W, V)
 
@@ -86,7 +87,7 @@ def has_no_conjugate_point(factors: Factors):
 
 
 def solve_sweeps(
-    factors: Factors, defect: Float[Array, "m n"], tip_rhs: Float[Array, "6"]
+    factors: Factors, defect: Float[Array, "m n"], tip_rhs: Float[Array, "b"]
 ) -> Float[Array, "nodes n"]:
     """(da, db) at every node; linear in (defect, tip_rhs)."""
     a = factors.T11.shape[-1]

@@ -14,6 +14,7 @@ from softrod_jax.marching import march
 from softrod_jax.method import Method
 from softrod_jax.newton import NewtonOptions
 from softrod_jax.precision import require_float64
+from softrod_jax.restrictions import check_scene
 from softrod_jax.results import RESULTS, raise_unless_successful
 from softrod_jax.rod import clamp_pose, make_rod
 from softrod_jax.rotations import to_base
@@ -88,6 +89,7 @@ def simulate(
     """
     require_float64("simulate")
     scene = as_arrays(scene)
+    check_scene("simulate", scene)
     tensions, pressures = actuation("simulate", scene, tensions, pressures, ndim=2)
     steps = _count_steps(steps, tensions, pressures)
     dt = jnp.asarray(dt, dtype=float)

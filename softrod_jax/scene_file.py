@@ -15,6 +15,7 @@ import numpy as np
 
 from softrod_jax import scene_schema as schema
 from softrod_jax.precision import require_float64
+from softrod_jax.restrictions import misfits
 from softrod_jax.scene import Chambers, Payload, Scene, Tendons, TipLoad, as_arrays
 from softrod_jax.scene_schema import SceneError, complaint, read_table
 from softrod_jax.sections import Annulus, Circle, GeneralSection, Rectangle
@@ -80,7 +81,7 @@ def _scene(document: dict, file: str) -> Scene:
         mass = read_table(top["payload"], schema.PAYLOAD, f"{file} payload")["mass"]
     load = read_table(top.get("tip_load", {}), schema.TIP_LOAD, f"{file} tip_load")
     has_load = any(x is not None for x in load.values())
-    return as_arrays(
+    scene = as_arrays(
         Scene(
             **rod,
             tendons=Tendons(_stack(tendons, "offset")) if tendons else None,
@@ -91,6 +92,9 @@ def _scene(document: dict, file: str) -> Scene:
             tip_load=TipLoad(**load) if has_load else None,
         )
     )
+    for key, value, remedy in misfits(scene):
+        raise SceneError(complaint(f"{file} {key}", value, remedy))
+    return scene
 
 
 def _stack(entries: list[dict], key: str):
@@ -182,6 +186,10 @@ def _document(scene: Scene, file: str) -> dict:
     shape = shapes[type(scene.section)]
     section = {"shape": shape, **_values(scene.section, schema.SECTIONS[shape][1])}
     document = {"rod": {**_values(scene, schema.ROD), "section": section}}
+    # Static, and so at hand as they are; one that restricts nothing is left out.
+    document["rod"] |= {
+        key: getattr(scene, key) for key in ("inextensible", "plane") if getattr(scene, key)
+    }
     if scene.tendons is not None:
         document["tendons"] = [{"offset": x} for x in _plain(scene.tendons.offsets)]
     if scene.chambers is not None:
@@ -217,6 +225,8 @@ def _toml(document: dict) -> str:
 
 def _toml_value(value) -> str:
     match value:
+        case bool():
+            return str(value).lower()
         case str():
             return f'"{value}"'
         case dict():
