@@ -32,15 +32,15 @@ def table(header: list[str], rows: list[list[str]]) -> str:
     return "\n".join("| " + " | ".join(line) + " |" for line in lines)
 
 
-def publish(name: str, text: str) -> None:
-    """Print `text`; with --write-readme put it between the README's markers of this name."""
+def publish(name: str, text: str, page: Path = README) -> None:
+    """Print `text`; with --write-readme put it between the markers of this name in `page`."""
     print(text)
     if "--write-readme" not in sys.argv[1:]:
         return
     begin, end = f"<!-- {name}: begin -->\n", f"\n<!-- {name}: end -->"
-    readme = README.read_text(encoding="utf-8")
-    if readme.count(begin) != 1 or readme.count(end) != 1:
-        raise ValueError(f"{README}: the markers {begin.strip()} and {end.strip()} are needed once")
-    before, rest = readme.split(begin)
+    content = page.read_text(encoding="utf-8")
+    if content.count(begin) != 1 or content.count(end) != 1:
+        raise ValueError(f"{page}: the markers {begin.strip()} and {end.strip()} are needed once")
+    before, rest = content.split(begin)
     _, after = rest.split(end)
-    README.write_text(f"{before}{begin}{text}{end}{after}", encoding="utf-8")
+    page.write_text(f"{before}{begin}{text}{end}{after}", encoding="utf-8")

@@ -19,6 +19,8 @@ class CheckpointError(ValueError):
 class Checkpoint:
     """The best place so far and the starts that are done, in a JSON file.
 
+    Of several processes that fit together the first writes it.
+
     - `path`: None keeps nothing. `resume`: go on from what is there; raises `CheckpointError` if
       there is nothing, or it is of another fit.
     """
@@ -46,11 +48,11 @@ class Checkpoint:
 
     def remove(self) -> None:
         """The fit is complete."""
-        if self.path is not None:
+        if self.path is not None and jax.process_index() == 0:
             self.path.unlink(missing_ok=True)
 
     def _write(self) -> None:
-        if self.path is None:
+        if self.path is None or jax.process_index() > 0:
             return
         x = None if self.x is None else self.x.tolist()
         content = {"fit": self._of, "done": self.done, "x": x, "loss": self._loss}

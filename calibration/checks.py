@@ -42,7 +42,7 @@ def refine(best: Point, known: Uncertainty, half_step: Batch) -> Refined:
 
 def _shift(best: Point, known: Uncertainty, batch: Batch, method):
     problem = best.problem
-    residuals, motions = predict(
+    predicted = predict(
         problem.setup,
         batch,
         jnp.asarray(problem.unknowns.theta(best.x)),
@@ -51,9 +51,10 @@ def _shift(best: Point, known: Uncertainty, batch: Batch, method):
         problem.scheme,
         method,
     )
-    if np.any(np.asarray(motions.result) != sr.RESULTS.successful):
+    residuals, motions = jax.device_get(predicted)
+    if np.any(motions.result != sr.RESULTS.successful):
         return None, None
-    change = problem.weights * (np.asarray(residuals) - best.evaluation.residuals)
+    change = problem.weights * (residuals - best.evaluation.residuals)
     return known.shift(best, change.ravel()), motions
 
 

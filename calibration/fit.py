@@ -94,6 +94,10 @@ def calibrate(
     with inputs starts straight, or hanging in equilibrium if its first sample is elsewhere.
     Ctrl-C ends the optimisation early and keeps the best point.
 
+    Recordings are simulated on all devices that JAX has, as by `softrod_jax.spread`. Several
+    processes, of like machines and after `jax.distributed.initialize`, share them if all call with
+    the same arguments; each gets the whole fit.
+
     Raises `ValueError` for bad arguments, `RecordingError` for recordings that cannot be used,
     `CalibrationError` if nothing can be simulated from the scene's values.
     """

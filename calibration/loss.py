@@ -2,8 +2,9 @@
 
 One compiled program gives residuals and their forward sensitivities; every part of a fit (coarse
 search, gradient descent, Levenberg-Marquardt, uncertainty) calls it and nothing else, so that it
-is compiled once. All recordings run through it in one call. Gradient descent by many parameters
-uses another, of reverse mode, whose cost does not grow with their number.
+is compiled once. All recordings run through it in one call, divided between all devices. Gradient
+descent by many parameters uses another, of reverse mode, whose cost does not grow with their
+number.
 """
 
 from dataclasses import dataclass, replace
@@ -17,11 +18,11 @@ from jaxtyping import Array, Float
 
 import softrod_jax as sr
 from calibration.alignment import Alignment, align
-from calibration.compiling import compiler_options
 from calibration.model import Batch, Clock, Motion, simulate_motion, tip_at
 from calibration.parameters import with_values
 from calibration.setup import Setup
 from calibration.unknowns import Unknowns, conditioned
+from softrod_jax.compiling import compiler_options
 
 # A residual of a simulation that failed, in rod lengths: worse than any motion of the rod.
 _FAILED = 10.0
@@ -77,12 +78,13 @@ def _compiled(function):
     return jax.jit(function, static_argnames=static, compiler_options=compiler_options())
 
 
-def _each(one, *inputs):
-    """`one` of every recording, in one program."""
-    # Batched small matrices gain nothing on a CPU, and each step would wait for the slowest.
-    if jax.default_backend() == "cpu":
-        return jax.lax.map(lambda args: one(*args), inputs)
-    return jax.vmap(one)(*inputs)
+def _each(one, batch: Batch, *inputs):
+    """`one` of every recording, in one program, on all devices of all processes."""
+    devices = jax.devices()
+    if jax.process_count() == 1:
+        # One without a recording would only repeat another's work.
+        devices = devices[: batch.dt.shape[0]]
+    return sr.spread(one, devices)(batch, *inputs)
 
 
 def _gradients(setup, batch, theta, delays, names, scheme, method):

@@ -24,5 +24,7 @@ from softrod_jax.sections import Rectangle as Rectangle
 from softrod_jax.shooting import Shooting as Shooting
 from softrod_jax.statics import StaticSolution as StaticSolution
 from softrod_jax.statics import solve_static as solve_static
+from softrod_jax.sweeps import SweepError as SweepError
+from softrod_jax.sweeps import sweep as sweep
 from softrod_jax.time_schemes import SDIRK as SDIRK
 from softrod_jax.time_schemes import BDFAlpha as BDFAlpha

@@ -39,7 +39,8 @@ _CONVERGED = 1e-9
 class LocalProblem(NamedTuple):
     """minimise 1/2 x.diag(k) x + sum_i tau_i |v + u x r_i + r_i,s| - b.x over x = (v, u).
 
-    `k` (6,), `b` (*points, 6), `tau` (tendons,), `r` (tendons, 3), `r_s` (tendons, 3) or None.
+    `k` (6,), `b` (*points, 6), `tau` (tendons,), `r` (tendons, 3), `r_s` (tendons, 3) or None; both
+    (*points, tendons, 3) for paths that vary along the rod.
     With artificial viscosity: plus sum_i viscosity_i |l_t|^3 / (3 c0), l_t = c0 l_i + l_h.
     Where `v` (3,) is given, x = u: `k` (3,), `b` (*points, 3).
     """
@@ -48,8 +49,8 @@ class LocalProblem(NamedTuple):
     b: Float[Array, "*points 6"]
     v: Float[Array, "3"] | None = None
     tau: Float[Array, "tendons"] | None = None
-    r: Float[Array, "tendons 3"] | None = None
-    r_s: Float[Array, "tendons 3"] | None = None
+    r: Float[Array, "... tendons 3"] | None = None
+    r_s: Float[Array, "... tendons 3"] | None = None
     viscosity: Float[Array, "tendons"] | None = None
     c0: Float[Array, ""] | None = None
     l_h: Float[Array, "*points tendons 3"] | None = None
@@ -113,7 +114,7 @@ def _linear_paths(r, x, v=None):
         v, u = x[..., None, :n], x[..., None, n:]
     else:
         u = x[..., None, :]
-    return v + cross(u, jnp.broadcast_to(r, (*x.shape[:-1], *r.shape)))
+    return v + cross(u, jnp.broadcast_to(r, (*x.shape[:-1], *r.shape[-2:])))
 
 
 def _paths(problem: LocalProblem, x):
@@ -125,10 +126,11 @@ def _paths(problem: LocalProblem, x):
     return l, jnp.sqrt(jnp.sum(l * l, -1) + 1e-30)
 
 
-def shortest_path(rod: Rod, strain: Strain):
+def shortest_path(rod: Rod, strain: Float[Array, "points 6"]):
     """The least |v + u x r_i| of any tendon anywhere: 0 where it has no length left."""
+    s = rod.L * jnp.linspace(0.0, 1.0, strain.shape[0])
     v = rod.v_star if rod.K_se is None else None
-    problem = LocalProblem(None, None, v, rod.tau, *rod.routing(0.0))
+    problem = LocalProblem(None, None, v, rod.tau, *rod.routing(s))
     return jnp.min(_paths(problem, strain)[1])
 
 

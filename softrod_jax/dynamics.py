@@ -9,6 +9,7 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from softrod_jax.collocation import Collocation
+from softrod_jax.compiling import compiled
 from softrod_jax.inputs import actuation, is_traced
 from softrod_jax.marching import march
 from softrod_jax.method import Method
@@ -155,7 +156,7 @@ def _count_steps(steps, tensions, pressures) -> int:
     return count
 
 
-@eqx.filter_jit
+@compiled
 def _simulate(
     scene, dt, tensions, pressures, strain, steps, substeps, scheme, method, options
 ):

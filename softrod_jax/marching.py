@@ -1,4 +1,4 @@
-"""The march in time: every step of a motion, as one compiled loop.
+"""The march in time: every step of a motion, as one compiled loop, or one step by itself.
 
 A step, from one sample of the inputs to the next, is divided into substeps: into a given number
 of equal ones, or into as many as keep the error of each one small.
@@ -6,7 +6,7 @@ of equal ones, or into as many as keep the error of each one small.
 
 import dataclasses
 import functools
-from typing import Any, NamedTuple
+from typing import Any, Callable, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -56,6 +56,19 @@ class Fields(NamedTuple):
     velocity: Float[Array, "points 6"]
 
 
+class Stepping(NamedTuple):
+    """How a motion begins and goes on; its state is (memory of the time scheme, `Running`).
+
+    `start()`: the state before the first step. `step(state, (coefficients, course))`: the state
+    after it and, of this step, what `March` has of all; `course`: a row of a `Course`. Strains and
+    velocities are those that are unknown in `rod`.
+    """
+
+    start: Callable
+    step: Callable
+    rod: Rod
+
+
 class March(NamedTuple):
     """Of every step: fields at its end, velocities as a user sees them, codes and counts."""
 
@@ -65,7 +78,7 @@ class March(NamedTuple):
     stats: dict
 
 
-class _Running(NamedTuple):
+class Running(NamedTuple):
     """What a substep hands to the next, besides the memory of the time scheme.
 
     `loads`: the rod under those of the last solve; `rate`: that of the strains there; `factors`
@@ -91,6 +104,26 @@ def march(scene, dt, inputs, strain, steps, substeps, scheme, method, options) -
     `strain` (points, 6) at the start, the unloaded rod's if `None`. `substeps`: a number, Python's
     or traced, or a `LocalError`.
     """
+    first = jax.tree.map(lambda x: x[0], inputs)
+    stepping = make_stepping(scene, dt, first, strain, substeps, scheme, method, options)
+    start = stepping.start()
+    course, restart = _course(inputs, steps, from_rest=strain is None)
+    length = dt if isinstance(substeps, LocalError) else dt / substeps
+    coefficients = scheme.coefficients(length, restart)
+    _, (strains, velocities, results, stats) = jax.lax.scan(
+        stepping.step, start, (coefficients, course)
+    )
+    strains = jnp.concatenate([start[0][0].strain[None], strains])
+    velocities = jnp.concatenate([jnp.zeros_like(velocities[:1]), velocities])
+    rod = stepping.rod
+    return March(full_strain(strains, rod), in_space(velocities, rod.plane), results, stats)
+
+
+def make_stepping(scene, dt, actuation, strain, substeps, scheme, method, options) -> Stepping:
+    """The steps of `march`, one at a time.
+
+    `actuation`, (tensions, pressures) of any step, says which actuators there are.
+    """
     if isinstance(substeps, LocalError):
         # A front is rough on any grid. Two grids are compared in the end: that decides.
         method = dataclasses.replace(method, max_error=jnp.inf)
@@ -100,7 +133,7 @@ def march(scene, dt, inputs, strain, steps, substeps, scheme, method, options) -
         return valid_actuation(make_rod(scene, tau, pressure, spacing=spacing))
 
     fits = None if scene.plane is None else fits_plane(scene)
-    rod, _ = rod_under(*jax.tree.map(lambda x: x[0], inputs))
+    rod, _ = rod_under(*actuation)
     layout = layout_of(rod, dynamic=True)
     guess = unloaded = unloaded_guess(method, layout, rod)
     if strain is not None:
@@ -240,31 +273,26 @@ def march(scene, dt, inputs, strain, steps, substeps, scheme, method, options) -
         seen = method.outputs(memory[0].velocity)
         return state, (memory[0].strain, seen, running.result, stats)
 
-    zero, none = jnp.zeros((), jnp.int32), jnp.zeros(())
-    steady = jnp.zeros_like(guess.strain)
-    at_rest = History(jnp.ones(()), steady, still)
-    equations = Equations(method, layout, rod, at_rest, guess.strain)
-    running = _Running(
-        guess,
-        scaled_loads(rod, 0.0),
-        steady,
-        no_factors(equations.factorise, equations.start(guess)),
-        none,
-        zero,
-        zero,
-        none,
-        none,
-        jnp.ones(()),
-    )
-    course, restart = _course(inputs, steps, from_rest=strain is None)
-    length = dt if isinstance(substeps, LocalError) else dt / substeps
-    coefficients = scheme.coefficients(length, restart)
-    _, (strains, velocities, results, stats) = jax.lax.scan(
-        step, (scheme.start(fields, guess), running), (coefficients, course)
-    )
-    strains = jnp.concatenate([fields.strain[None], strains])
-    velocities = jnp.concatenate([jnp.zeros_like(velocities[:1]), velocities])
-    return March(full_strain(strains, rod), in_space(velocities, rod.plane), results, stats)
+    def start():
+        zero, none = jnp.zeros((), jnp.int32), jnp.zeros(())
+        steady = jnp.zeros_like(guess.strain)
+        at_rest = History(jnp.ones(()), steady, still)
+        equations = Equations(method, layout, rod, at_rest, guess.strain)
+        running = Running(
+            guess,
+            scaled_loads(rod, 0.0),
+            steady,
+            no_factors(equations.factorise, equations.start(guess)),
+            none,
+            zero,
+            zero,
+            none,
+            none,
+            jnp.ones(()),
+        )
+        return scheme.start(fields, guess), running
+
+    return Stepping(start, step, rod)
 
 
 def tip_shift(error: Fields, of_integral: Fields, length, layout: Layout) -> Float[Array, ""]:
@@ -283,7 +311,7 @@ def tip_shift(error: Fields, of_integral: Fields, length, layout: Layout) -> Flo
     return jnp.minimum(along_rod, jnp.linalg.norm(moved) / length)
 
 
-class _Course(NamedTuple):
+class Course(NamedTuple):
     """Inputs of every step: where each comes from, where it goes, and if it jumps there.
 
     `finite`: whether all are; in their place are zeros that spoil no derivative.
@@ -305,7 +333,7 @@ class _Course(NamedTuple):
         return jax.tree.map(one, self.before, self.now, self.jumps)
 
 
-def _course(inputs, steps: int, from_rest: bool) -> tuple[_Course, Bool[Array, "steps"]]:
+def _course(inputs, steps: int, from_rest: bool) -> tuple[Course, Bool[Array, "steps"]]:
     """The course of the inputs, and at the beginning of which steps any of them jumps.
 
     At the first step all do. Before it all are zero, or, where the motion begins in an
@@ -319,4 +347,4 @@ def _course(inputs, steps: int, from_rest: bool) -> tuple[_Course, Bool[Array, "
     before = jax.tree.map(lambda x: jnp.concatenate([first(x), x[:-1]]), inputs)
     jump = [jnp.any(jump, axis=1) for jump in jax.tree.leaves(jumped)]
     restart = functools.reduce(jnp.logical_or, jump, jnp.arange(steps) == 0)
-    return _Course(before, inputs, jumped, finite), restart
+    return Course(before, inputs, jumped, finite), restart

@@ -9,14 +9,15 @@ What is not in the plane is refused: at once where numbers are known, with a res
 are traced.
 """
 
-from typing import Iterator, NamedTuple
+from collections.abc import Iterator
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from softrod_jax.scene import PLANES, Scene
+from softrod_jax.scene import PLANES, Scene, Tendons
 
 # Components off the plane that are smaller than this part of the largest are rounding errors.
 _ROUNDING = 1e-12
@@ -84,10 +85,17 @@ def _parts(scene: Scene) -> list[_Part]:
         ("rod.base_quaternion", scene.base_quaternion, *quaternion),
         ("tip_load.force", None if load is None else load.force, *vector),
         ("tip_load.moment", None if load is None else load.moment, *turn),
-        ("tendons", None if tendons is None else tendons.offsets, *vector),
+        ("tendons", None if tendons is None else _routes(tendons, scene.length), *vector),
         ("chambers", None if chambers is None else chambers.offsets, *vector),
     ]
     return [_Part(*part) for part in parts if part[1] is not None]
+
+
+def _routes(tendons, length):
+    """Where the tendons run in the section; of those that vary along the rod, at many points."""
+    if type(tendons) is Tendons:
+        return tendons.offsets
+    return tendons.routing(length * jnp.linspace(0.0, 1.0, 33))[0]
 
 
 def _off_plane(part: _Part, module) -> Bool[Array, "*rows"]:
@@ -100,7 +108,10 @@ def _off_plane(part: _Part, module) -> Bool[Array, "*rows"]:
 
 def fits_plane(scene: Scene) -> Bool[Array, ""]:
     """Whether everything is in the scene's plane; its numbers may be traced."""
-    return ~jnp.any(jnp.stack([jnp.any(_off_plane(p, jnp)) for p in _parts(scene)] or [False]))
+    fits = jnp.array(True)
+    for part in _parts(scene):
+        fits &= ~jnp.any(_off_plane(part, jnp))
+    return fits
 
 
 def misfits(scene: Scene) -> Iterator[tuple[str, object, str]]:
@@ -110,9 +121,13 @@ def misfits(scene: Scene) -> Iterator[tuple[str, object, str]]:
             value = getattr(scene, name)
             if value is not None:
                 shown = value if isinstance(value, jax.core.Tracer) else np.asarray(value).tolist()
-                yield f"rod.{name}", shown, (
-                    "an inextensible rod does not stretch or shear; "
-                    f"leave {name} out, or inextensible"
+                yield (
+                    f"rod.{name}",
+                    shown,
+                    (
+                        "an inextensible rod does not stretch or shear; "
+                        f"leave {name} out, or inextensible"
+                    ),
                 )
     if scene.plane is None:
         return

@@ -175,8 +175,10 @@ def inner_strain(strain: Float[Array, "*points 6"], rod: Rod) -> Float[Array, "*
     u = turn_in(rod.plane, strain[..., 3:])
     if rod.K_se is None:
         return u
-    return strain if rod.plane is None else jnp.concatenate(
-        [vector_in(rod.plane, strain[..., :3]), u], -1
+    return (
+        strain
+        if rod.plane is None
+        else jnp.concatenate([vector_in(rod.plane, strain[..., :3]), u], -1)
     )
 
 

@@ -35,7 +35,8 @@ class Tendons(eqx.Module):
     def routing(self, s):
         """Tendon positions r_i [m] and slopes r_i,s [-] in the section at arc length `s`.
 
-        Both (tendons, 3). The slope is `None` for a straight tendon: its terms vanish.
+        Both (tendons, 3), or (*points, tendons, 3) for `s` (*points,) if they vary along the rod.
+        The slope is `None` for a straight tendon: its terms vanish.
         """
         del s
         r = jnp.concatenate([self.offsets, jnp.zeros_like(self.offsets[:, :1])], axis=1)

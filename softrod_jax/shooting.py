@@ -39,7 +39,7 @@ class Shooting(Method):
     - `stepsize_controller`: with `diffrax.PIDController` each of the steps is divided further
       as its tolerances ask for, into at most `max_substeps`; they are relative to the sizes of
       a bent rod's forces, moments and velocities. Slow to compile.
-    - `max_error`: the estimated error of the integration (`Defects.error`) up to which a
+    - `max_error`: the estimated error of the integration (`stats["error"]`) up to which a
       solution counts as one. Solvers without an embedded error estimate are not checked;
       `diffrax.HalfSolver` gives one to any solver.
 

@@ -15,6 +15,7 @@ from softrod_jax.boundary_value import (
     solve_boundary_value,
 )
 from softrod_jax.collocation import Collocation
+from softrod_jax.compiling import compiled
 from softrod_jax.inputs import actuation, is_traced, valid_actuation
 from softrod_jax.method import MOST_INTERVALS, Guess, Method
 from softrod_jax.newton import NewtonOptions
@@ -127,14 +128,14 @@ def _solve(scene, tensions, pressures, method, options, traced):
     return solution
 
 
-@eqx.filter_jit
+@compiled
 def _solve_static(scene, tensions, pressures, method, options):
     rod, valid, layout, guess = _problem(scene, tensions, pressures, method)
     solved = solve_boundary_value(method, layout, options, rod, None, guess, search_by_load)
     return _solution(scene, rod, method, solved, valid, jnp.zeros((), jnp.int32))
 
 
-@eqx.filter_jit
+@compiled
 def _settled(scene, tensions, pressures, method, options):
     """By a damped motion, and Newton's method from where it comes to rest."""
     rod, valid, layout, guess = _problem(scene, tensions, pressures, method)

@@ -28,6 +28,8 @@ def _combine(*terms):
 class TimeScheme(eqx.Module):
     """`start` makes a memory from the initial fields, `step` advances it.
 
+    The memory is a tuple; its first entry is the fields at the end of the step.
+
     `error_constant`: C of the local error C dt^(order + 1) y^(order + 1). `one_step`: whether
     steps may differ in length from one to the next, each with an estimate of its error.
     """

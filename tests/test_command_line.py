@@ -2,6 +2,7 @@
 
 import json
 import os
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -10,6 +11,7 @@ from types import SimpleNamespace
 import jax
 import numpy as np
 import pytest
+from PIL import Image
 
 import softrod_jax as sr
 from calibration import load_recording, write_log
@@ -37,7 +39,7 @@ def in_a_directory_of_its_own(tmp_path, monkeypatch):
     """Commands run in `tmp_path`; JAX's cache stays as the tests have it."""
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(common, "prepare_jax", lambda: None)
-    for command in ("solve", "simulate", "calibrate", "doctor"):
+    for command in ("solve", "simulate", "plot", "calibrate", "doctor"):
         monkeypatch.setattr(f"calibration.cli.{command}.prepare_jax", lambda: None)
     (tmp_path / "chamber.toml").write_text(CHAMBER)
     sr.save_scene(sr.hybrid_robot(), tmp_path / "robot.toml")
@@ -218,6 +220,77 @@ def test_simulate_without_a_static_start(capsys, asked):
     assert run(capsys, *argv)[0] == 1
 
 
+def test_plot_draws_what_simulate_wrote(capsys):
+    """The rod with a chamber, and its three steps, as above: no more programs."""
+    argv = ["--pressure", "1e4", "--dt", "0.01", "--duration", "0.03", "--out", "a.csv"]
+    assert run(capsys, "simulate", "chamber.toml", *argv)[0] == 0
+    status, out, err = run(capsys, "plot", "a.csv")
+    assert (status, out, err) == (0, "written to a.png\n", "")
+    with Image.open("a.png") as picture:
+        assert picture.width > picture.height > 500
+
+    status, out, err = run(capsys, "plot", "chamber.toml", "a.csv", "--out", "film.gif")
+    assert (status, err) == (0, "")
+    match = re.fullmatch(r"the simulated tip is (.*) mm rms from .*\nwritten to film.gif\n", out)
+    assert float(match[1]) < 1e-9
+    with Image.open("film.gif") as film:
+        assert film.n_frames == 1  # 0.03 s at 25 frames a second
+
+    argv = ["--out", "film.html", "--speed", "0.25", "--fps", "25"]
+    assert run(capsys, "plot", "chamber.toml", "a.csv", *argv)[0] == 0
+    assert Path("film.html").read_text().count("data:image/png") == 4
+    assert run(capsys, "plot", "chamber.toml", "a.csv", "--out", "both.png")[0] == 0
+
+    status, out, _ = run(capsys, "plot", "chamber.toml", "--pressure", "3e4")
+    assert (status, out) == (0, "written to chamber.png\n")
+    assert Path("chamber.png").exists()
+
+
+def test_plot_asks_for_the_motion_of_the_log(capsys, asked):
+    tau = np.array([[1.0, 0, 0], [2.0, 0, 0], [2.0, 0, 4.0]])
+    tip = np.array([[0.0, 0, 0.1], [np.nan] * 3, [0.01, 0, 0.1]])
+    write_log("in.csv", [5.0, 5.1, 5.2], tau, 1e4 * np.ones((3, 1)), tip)
+    asked.failed_step = 1
+    argv = ["plot", "robot.toml", "in.csv", "--out", "film.gif"]
+    status, out, err = run(capsys, *argv, "--dt", "0.05", "--tolerance", "1e-3")
+    assert (status, out) == (1, "")
+    assert err == f"softrod: failed: step 1, from 0.05 s: {sr.result_message(2)}\n"
+    assert not Path("film.gif").exists()
+    assert asked.motion.dt == 0.05 and asked.motion.tolerance == 1e-3
+    assert np.allclose(asked.motion.tensions[:, 0], [1.5, 2, 2, 2])
+    assert asked.motion.initial is None
+
+    assert run(capsys, *argv, "--from-static")[0] == 1
+    assert asked.motion.steps == 2  # the log's own
+    assert np.allclose(asked.static.tensions, [1, 0, 0])
+    assert asked.motion.initial is not None
+
+    asked.static_result = 1
+    for line in ([*argv, "--from-static"], ["plot", "robot.toml"]):
+        status, out, err = run(capsys, *line)
+        assert (status, out) == (1, "")
+        assert "no smooth equilibrium" in err
+
+
+def test_plot_tells_of_another_start(capsys, asked, monkeypatch):
+    monkeypatch.setattr("softrod_jax.pictures.animate", lambda *args, **options: None)
+    tip = np.array([[0.03, 0, 0.1], [0.03, 0, 0.1]])
+    write_log("in.csv", [0.0, 0.1], np.zeros((2, 3)), np.zeros((2, 1)), tip)
+    argv = ["plot", "robot.toml", "in.csv", "--out", "film.gif"]
+    status, out, err = run(capsys, *argv)
+    assert status == 0
+    assert out.startswith("the simulated tip is 29.5 mm rms from the log's")
+    assert "starts 30 mm from where the rod does" in err and "--from-static" in err
+    assert run(capsys, *argv, "--from-static")[2] == ""
+
+
+def test_plot_without_matplotlib(capsys, monkeypatch):
+    monkeypatch.setitem(sys.modules, "matplotlib", None)
+    status, _, err = run(capsys, "plot", "a.csv")
+    assert status == 2
+    assert "pip install 'softrod_jax[plots]'" in err
+
+
 def test_negative_pressure_in_any_notation(capsys, asked):
     for text in ("-10000", "-1e4", "-1.0E+4"):
         argv = ["simulate", "robot.toml", "--dt", "0.1", "--duration", "0.1", "--pressure", text]
@@ -273,6 +346,25 @@ BAD = [
         ["simulate", "robot.toml", "--dt", "1", "--log", "a.csv"],
         {"a.csv": LOG.replace("1,1,1,1,1\n", "")},
         ["one row", "--duration"],
+    ),
+    (["plot"], {}, ["FILE"]),
+    (["plot", "absent.csv"], {}, ["absent.csv", "No such file"]),
+    (["plot", "a.csv"], {"a.csv": LOG}, ["a.csv: row 1", "tip_x_m is missing"]),
+    (["plot", "a.csv", "b.csv"], {}, ["a.csv b.csv: 2 logs", "one LOG.csv"]),
+    (["plot", "robot.toml", "chamber.toml"], {}, ["2 scenes"]),
+    (["plot", "a.csv", "--out", "a.bmp"], {}, ["--out a.bmp", "'.bmp'", ".png", ".gif"]),
+    (["plot", "a.csv", "--out", "a.gif"], {}, ["--out a.gif", "SCENE.toml LOG.csv", "a.png"]),
+    (["plot", "robot.toml", "--out", "a.html"], {}, ["--out a.html", "SCENE.toml LOG.csv"]),
+    (["plot", "a.csv", "--out", "no/a.png"], {}, ["--out no/a.png", "not exist"]),
+    (["plot", "a.csv", "--tension", "1"], {}, ["--tension", "the log gives the inputs"]),
+    (["plot", "robot.toml", "--dt", "1"], {}, ["--dt: for a scene and a log only"]),
+    (["plot", "robot.toml", "a.csv", "--speed", "2"], {}, ["--speed: for films only"]),
+    (["plot", "robot.toml", "a.csv", "--out", "a.gif", "--fps", "99"], {}, ["--fps 99"]),
+    (["plot", "robot.toml", "--tension", "1"], {}, ["--tension: 1 given", "3 tendons"]),
+    (
+        ["plot", "robot.toml", "a.csv"],
+        {"a.csv": LOG.replace("1,1,1,1,1\n", "")},
+        ["a.csv: one row is no motion"],
     ),
     (["calibrate", "robot.toml"], {}, ["no recordings", "LOG"]),
     (["calibrate", "robot.toml", "a.csv", "--out", "a.csv"], {"a.csv": LOG}, ["--out a.csv"]),
@@ -331,7 +423,7 @@ def test_doctor_finds_a_wrong_solver(capsys, monkeypatch):
     assert "healthy        False" in out
 
 
-@pytest.mark.parametrize("command", ["solve", "simulate", "calibrate", "doctor"])
+@pytest.mark.parametrize("command", ["solve", "simulate", "plot", "calibrate", "doctor"])
 def test_help(capsys, command):
     with pytest.raises(SystemExit) as stop:
         main([command, "--help"])

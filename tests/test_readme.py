@@ -52,6 +52,7 @@ def test_links_to_files_and_headings():
     headings = re.findall(r"^#+ (.*)$", README, re.MULTILINE)
     anchors = {"#" + re.sub(r"[^\w -]", "", h).lower().replace(" ", "-") for h in headings}
     targets = re.findall(r"\]\(([^)\s]+)\)", README)
+    targets += re.findall(r'src="([^"]+)"', README)
     assert len(targets) > 5
     for target in targets:
         if not target.startswith("https://"):
@@ -106,6 +107,7 @@ def test_the_code_and_the_commands(folder):
 
     assert json.loads(softrod("solve"))["result"] == "successful"
     softrod("simulate")
+    softrod("plot")
     softrod("calibrate")
     assert (folder / "fitted" / "parameters.json").exists()
     softrod("doctor")

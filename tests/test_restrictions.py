@@ -94,9 +94,7 @@ def test_equations_in_a_plane_are_those_in_space(plane):
     rods, layouts, states, histories = full_and_restricted(plane, no_stretch=False)
     guess = jnp.array([0.0, 0, 1, 0, 0, 0])
     whole = rod_ode(0.0, states[0], rods[0], layouts[0], histories[0], guess)
-    ours = rod_ode(
-        0.0, states[1], rods[1], layouts[1], histories[1], inner_strain(guess, rods[1])
-    )
+    ours = rod_ode(0.0, states[1], rods[1], layouts[1], histories[1], inner_strain(guess, rods[1]))
     np.testing.assert_allclose(
         full_strain(ours.strain, rods[1]), whole.strain, rtol=1e-10, atol=1e-12
     )
@@ -318,7 +316,7 @@ def test_keys_without_meaning_are_refused():
         scene = with_(inextensible(scene_in("xz")), **{name: 0.9})
         with pytest.raises(ValueError, match=f"rod.{name} = 0.9: an inextensible rod"):
             sr.solve_static(scene, TENSIONS, PRESSURES)
-    with pytest.raises(ValueError, match='plane=\'xy\' is not offered; use "xz"'):
+    with pytest.raises(ValueError, match="plane='xy' is not offered; use \"xz\""):
         with_(sr.hybrid_robot(), plane="xy")
     with pytest.raises(ValueError, match="inextensible=1"):
         with_(sr.hybrid_robot(), inextensible=1)

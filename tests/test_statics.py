@@ -193,3 +193,32 @@ def test_a_tolerance_is_kept_in_statics():
     assert np.abs(rough.tip_position - best.tip_position).max() > 1e-5
     assert np.abs(fine.tip_position - best.tip_position).max() < 1e-5
     assert rough.stats["error"] > 1e-4
+
+
+class Helix(sr.Tendons):
+    """Tendons that wind about the axis by `pitch` [rad/m]."""
+
+    pitch: float = 15.0
+
+    def routing(self, s):
+        angle, (x, y) = self.pitch * jnp.asarray(s)[..., None], self.offsets.T
+        cos, sin = jnp.cos(angle), jnp.sin(angle)
+        none = jnp.zeros_like(cos * x)
+        r = jnp.stack([cos * x - sin * y, sin * x + cos * y, none], -1)
+        return r, self.pitch * jnp.stack([-r[..., 1], r[..., 0], none], -1)
+
+
+def test_a_tendon_that_winds_about_the_axis():
+    """A small tension: the moment r x t tau of the tendon's direction t, at each point."""
+    robot, tension, r = sr.hybrid_robot(), 1e-4, 4e-3
+    scene = as_arrays(sr.Scene(**{**vars(robot), "tendons": Helix(jnp.array([[r, 0.0]]))}))
+    solution = sr.solve_static(scene, (tension,), method=sr.Collocation(6))
+    pitch = scene.tendons.pitch
+    along = tension / np.sqrt(1 + (pitch * r) ** 2)
+    EI = robot.young_modulus * robot.section.second_moments[0]
+    GJ = robot.shear_modulus * robot.section.torsion_constant
+    angle = pitch * solution.arc_lengths
+    bend, twist = along * r / EI, -along * pitch * r**2 / GJ
+    u = np.stack([-bend * np.sin(angle), bend * np.cos(angle), twist + 0 * angle], -1)
+    np.testing.assert_allclose(solution.strains[:, 3:], u, atol=1e-3 * bend)
+    np.testing.assert_allclose(solution.strains[:, 5], twist, rtol=1e-3)

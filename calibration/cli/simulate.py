@@ -7,6 +7,7 @@ the log's first sample.
 
 import math
 import sys
+from typing import Any, NamedTuple
 
 from calibration.cli.common import (
     UsageError,
@@ -77,6 +78,43 @@ def _solver_options(args) -> dict:
     return options
 
 
+class Motion(NamedTuple):
+    """Inputs as of `_inputs`, and the `Trajectory`: None without an equilibrium to start from.
+
+    `reason`: "successful", or why not.
+    """
+
+    steps: int
+    tensions: Any
+    pressures: Any
+    trajectory: Any
+    reason: str
+
+
+def simulated(args, scene) -> Motion:
+    """The motion that the options of this command ask for."""
+    import softrod_jax as sr
+
+    steps, tensions, pressures = _inputs(args, scene)
+    initial = None
+    if args.from_static:
+        initial = sr.solve_static(scene, _row(tensions, 0), _row(pressures, 0), throw=False)
+        if int(initial.result) != 0:
+            reason = f"--from-static: {sr.result_message(initial.result)}"
+            return Motion(steps, tensions, pressures, None, reason)
+    trajectory = sr.simulate(
+        scene,
+        tensions=_row(tensions, slice(1, None)),
+        pressures=_row(pressures, slice(1, None)),
+        steps=steps,
+        initial=initial,
+        throw=False,
+        **_solver_options(args),
+    )
+    reason = sr.result_message(trajectory.result)
+    return Motion(steps, tensions, pressures, trajectory, reason)
+
+
 def run(args) -> int:
     if args.out is not None:
         check_writable(args.out)
@@ -86,22 +124,10 @@ def run(args) -> int:
     import softrod_jax as sr
 
     scene = sr.load_scene(args.scene)
-    steps, tensions, pressures = _inputs(args, scene)
-    initial = None
-    if args.from_static:
-        initial = sr.solve_static(scene, _row(tensions, 0), _row(pressures, 0), throw=False)
-        if int(initial.result) != 0:
-            reason = f"--from-static: {sr.result_message(initial.result)}"
-            return _report(args, reason, [0.0], [None], 0, 0, None)
-    traj = sr.simulate(
-        scene,
-        tensions=_row(tensions, slice(1, None)),
-        pressures=_row(pressures, slice(1, None)),
-        steps=steps,
-        initial=initial,
-        throw=False,
-        **_solver_options(args),
-    )
+    motion = simulated(args, scene)
+    steps, tensions, pressures, traj = motion.steps, *motion[1:4]
+    if traj is None:
+        return _report(args, motion.reason, [0.0], [None], 0, 0, None)
     succeeded = int(traj.result) == 0
     failed_step = None if succeeded else int(traj.failed_step)
     tips = np.array(traj.tip_positions)
@@ -110,13 +136,13 @@ def run(args) -> int:
     if args.out is not None:
         _write(args.out, scene, np.asarray(traj.ts), tensions, pressures, tips)
     rows = [None if np.isnan(tip).any() else tip.tolist() for tip in tips]
-    message, error = sr.result_message(traj.result), float(traj.stats["time_error"][-1])
+    error = float(traj.stats["time_error"][-1])
     if succeeded and error > _LARGE_ERROR:
         note(
             f"the tip's error is estimated at {error:.2g} lengths of the rod: take a smaller --dt, "
             "or give a --tolerance"
         )
-    return _report(args, message, traj.ts.tolist(), rows, steps, failed_step, error)
+    return _report(args, motion.reason, traj.ts.tolist(), rows, steps, failed_step, error)
 
 
 def _inputs(args, scene):

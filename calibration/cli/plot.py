@@ -1,0 +1,211 @@
+"""Draw a log, a rod at rest, or a rod that moves under the inputs of a log.
+
+  softrod plot LOG.csv              the tip and the inputs against time, the path of the tip
+  softrod plot SCENE.toml           the equilibrium under --tension and --pressure, in 3D
+  softrod plot SCENE.toml LOG.csv   simulates the inputs of the log, and draws the rod in 3D beside
+                                    the simulated tip and the log's; with --out FILE.gif or
+                                    FILE.html, a film
+
+Pictures are .png, .pdf or .svg. A film in HTML is one file and needs no network. Exit status 1 if
+the rod could not be solved; nothing is written then.
+"""
+
+import sys
+from pathlib import Path
+
+from calibration.cli.common import (
+    UsageError,
+    actuation,
+    add_actuation,
+    check_writable,
+    note,
+    positive,
+    prepare_jax,
+)
+from calibration.cli.simulate import simulated
+
+_PICTURES, _FILMS = (".png", ".pdf", ".svg"), (".gif", ".html")
+# A log whose tip starts further from the straight rod's, in lengths of the rod, deserves a note.
+_FAR = 0.05
+
+
+def add_arguments(parser) -> None:
+    parser.add_argument(
+        "files", nargs="+", metavar="FILE", help="SCENE.toml, LOG.csv, or one of each"
+    )
+    parser.add_argument(
+        "--out",
+        metavar="FILE",
+        help="the picture (.png, .pdf, .svg) or film (.gif, .html); the default is a .png here, "
+        "named after the log or the scene",
+    )
+    add_actuation(parser)
+    motion = parser.add_argument_group("motions: a scene and a log")
+    motion.add_argument(
+        "--dt", type=positive, metavar="S", help="time step [s] (default: the log's median one)"
+    )
+    motion.add_argument(
+        "--from-static",
+        action="store_true",
+        help="start from the equilibrium under the first inputs, not from the straight rod",
+    )
+    motion.add_argument(
+        "--tolerance",
+        type=positive,
+        metavar="X",
+        help="divide the steps until the tip's estimated error is below X lengths of the rod",
+    )
+    motion.add_argument("--speed", type=positive, metavar="X", help="of a film: 1 is real time (1)")
+    motion.add_argument(
+        "--fps", type=positive, metavar="N", help="frames a second of a film, up to 50 (25)"
+    )
+
+
+def run(args) -> int:
+    scene_path, log_path = _files(args.files)
+    out = args.out if args.out is not None else f"{Path(log_path or scene_path).stem}.png"
+    kind = Path(out).suffix.lower()
+    _check_options(args, scene_path, log_path, out, kind)
+    check_writable(out)
+    try:
+        import matplotlib  # noqa: F401
+    except ImportError as e:
+        raise UsageError(f"{e}: pip install 'softrod_jax[plots]'") from None
+    if scene_path is None:
+        from calibration.log_plot import log_figure
+        from calibration.recording import load_recording
+
+        _save(log_figure(load_recording(log_path)), out)
+        return _written(out)
+    prepare_jax()
+    import softrod_jax as sr
+
+    scene = sr.load_scene(scene_path)
+    if log_path is None:
+        return _draw_equilibrium(args, scene, out)
+    return _draw_motion(args, scene, log_path, out, kind)
+
+
+def _files(files) -> tuple[str | None, str | None]:
+    """The scene and the log among the arguments."""
+    scenes = [f for f in files if Path(f).suffix.lower() == ".toml"]
+    logs = [f for f in files if f not in scenes]
+    for what, found in (("scene", scenes), ("log", logs)):
+        if len(found) > 1:
+            raise UsageError(
+                f"{' '.join(found)}: {len(found)} {what}s; give one SCENE.toml, one LOG.csv, or "
+                "one of each"
+            )
+    return scenes[0] if scenes else None, logs[0] if logs else None
+
+
+def _check_options(args, scene_path, log_path, out, kind) -> None:
+    if kind not in _PICTURES + _FILMS:
+        raise UsageError(
+            f"--out {out}: the name ends in {kind!r}; expected {', '.join(_PICTURES)} for a "
+            f"picture, {' or '.join(_FILMS)} for a film"
+        )
+    moves = scene_path is not None and log_path is not None
+    if kind in _FILMS and not moves:
+        raise UsageError(
+            f"--out {out}: a film needs the scene and a log: softrod plot SCENE.toml LOG.csv; or "
+            f"draw a picture, {Path(out).stem}.png"
+        )
+    inputs = {"--tension": args.tension, "--pressure": args.pressure}
+    steps = {
+        "--dt": args.dt,
+        "--from-static": args.from_static or None,
+        "--tolerance": args.tolerance,
+    }
+    film = {"--speed": args.speed, "--fps": args.fps}
+    for allowed, options, remedy in (
+        (log_path is None, inputs, "the log gives the inputs, or is drawn as it is"),
+        (moves, steps, "for a scene and a log only"),
+        (kind in _FILMS, film, "for films only, --out FILE.gif or FILE.html"),
+    ):
+        given = [name for name, value in options.items() if value is not None]
+        if given and not allowed:
+            raise UsageError(f"{', '.join(given)}: {remedy}: leave it out")
+    if args.fps is not None and args.fps > 50:
+        raise UsageError(f"--fps {args.fps:g}: more than 50 frames a second; give less")
+
+
+def _draw_equilibrium(args, scene, out) -> int:
+    import softrod_jax as sr
+    from softrod_jax.pictures import picture
+
+    tensions, pressures = actuation(args, scene)
+    solution = sr.solve_static(scene, tensions, pressures, throw=False)
+    if int(solution.result) != 0:
+        return _failed(sr.result_message(solution.result))
+    _save(picture(scene, solution, tensions, pressures), out)
+    return _written(out)
+
+
+def _draw_motion(args, scene, log_path, out, kind) -> int:
+    import numpy as np
+
+    from calibration.log_plot import log_figure
+    from calibration.recording import load_recording
+    from softrod_jax.pictures import animate
+
+    log = load_recording(log_path, scene, need_tip=False)
+    if len(log.times) < 2:
+        raise UsageError(f"{log_path}: one row is no motion; to draw a rod at rest, leave it out")
+    if args.dt is None:
+        args.dt = float(np.median(np.diff(log.times)))
+    args.log, args.duration, args.alpha = log_path, None, None
+    motion = simulated(args, scene)
+    trajectory = motion.trajectory
+    if trajectory is None or int(trajectory.result) != 0:
+        step = 0 if trajectory is None else int(trajectory.failed_step)
+        return _failed(f"step {step}, from {step * args.dt:g} s: {motion.reason}")
+    _compare(args, log, trajectory, float(scene.length))
+    if kind in _FILMS:
+        animate(
+            scene,
+            trajectory,
+            out,
+            None if motion.tensions is None else motion.tensions[1:],
+            None if motion.pressures is None else motion.pressures[1:],
+            speed=args.speed or 1.0,
+            fps=args.fps or 25.0,
+            measured_tip=log.tip_positions,
+        )
+    else:
+        _save(log_figure(log, scene, trajectory), out)
+    return _written(out)
+
+
+def _compare(args, log, trajectory, length) -> None:
+    """How far the simulated tip is from the log's, where that has one."""
+    import numpy as np
+
+    known = log.has_tip
+    if not np.any(known):
+        return
+    clock, tip = log.times[known] - log.times[0], log.tip_positions[known]
+    ts, path = np.asarray(trajectory.ts), np.asarray(trajectory.tip_positions)
+    there = np.stack([np.interp(clock, ts, column) for column in path.T], axis=1)
+    distance = np.linalg.norm(there - tip, axis=1)
+    if distance[0] > _FAR * length and not args.from_static:
+        note(
+            f"the log's tip starts {1e3 * distance[0]:.3g} mm from where the rod does: if that was "
+            "in equilibrium, give --from-static"
+        )
+    rms = np.sqrt(np.mean(distance**2))
+    print(f"the simulated tip is {1e3 * rms:.3g} mm rms from the log's")
+
+
+def _save(figure, out) -> None:
+    figure.savefig(out, dpi=130)
+
+
+def _written(out) -> int:
+    print(f"written to {out}")
+    return 0
+
+
+def _failed(reason: str) -> int:
+    print(f"softrod: failed: {reason}", file=sys.stderr)
+    return 1

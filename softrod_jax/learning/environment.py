@@ -1,0 +1,159 @@
+"""A gymnasium environment: bring the tip of a rod to a target, and hold it there.
+
+gymnasium.make("softrod_jax.learning.environment:softrod/Reach-v0")
+"""
+
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+
+try:
+    import gymnasium
+except ModuleNotFoundError as error:
+    raise ModuleNotFoundError(
+        "softrod_jax.learning.environment needs gymnasium, which the extra `learning` brings: "
+        'pip install "softrod_jax[learning]"'
+    ) from error
+
+from softrod_jax.collocation import Collocation
+from softrod_jax.learning.stepping import Action, Stepper
+from softrod_jax.method import Method
+from softrod_jax.results import RESULTS, result_message
+from softrod_jax.scene import Scene, hybrid_robot
+from softrod_jax.statics import solve_static
+from softrod_jax.time_schemes import BDFAlpha, TimeScheme
+
+# Bounds of what is observed: the tip and the target, and the tip's velocity, in lengths of the rod
+# and lengths a second.
+_REACH, _SPEED = 3.0, 100.0
+# Draws of a target before the limits are called to blame.
+_DRAWS = 20
+
+
+class ReachEnv(gymnasium.Env):
+    """Reach a random target with the tip, from rest.
+
+    - `scene`: with tendons or chambers; the hanging `hybrid_robot` if `None`.
+    - `dt` [s]: the length of a step. `max_steps`: after so many an episode is truncated.
+    - `tension_limit` [N] and `pressure_limit` [Pa]: of each actuator.
+    - `scheme`, `method`: as in `simulate`; the defaults are fast rather than accurate.
+
+    Actions, in [-1, 1], are tensions and pressures from zero to their limits, reached at the
+    end of the step; values outside are clipped. Observed are, in this order, the tip's position
+    and velocity and the target's position, in lengths of the rod (and second), and the action
+    now in force. That is not the whole state of a rod, which has many modes.
+
+    An episode begins in the equilibrium without actuation. The target is the tip in the
+    equilibrium under a random action, so that it can be reached and held. The reward of a step
+    is minus the distance to it, in lengths of the rod. An episode does not terminate. It is
+    truncated after `max_steps`, and where the solve of a step fails.
+
+    `info`: "result", a code of `RESULTS`; "message", what it means; "failed", whether that ended
+    the episode; "distance" [m] to the target.
+
+    Raises `ValueError` for limits that are not positive, a scene without actuators, an action
+    that is not finite, and where no random action has an equilibrium.
+    """
+
+    metadata = {"render_modes": []}
+
+    def __init__(
+        self,
+        scene: Scene | None = None,
+        *,
+        dt: float = 0.02,
+        max_steps: int = 50,
+        tension_limit: float = 0.2,
+        pressure_limit: float = 2e4,
+        scheme: TimeScheme = BDFAlpha(),  # noqa: B008
+        method: Method = Collocation(6, order=6),  # noqa: B008
+        render_mode: str | None = None,
+    ):
+        if render_mode is not None:
+            raise ValueError(f"ReachEnv: render_mode={render_mode!r}; it draws nothing, use None")
+        for name, limit in (("tension_limit", tension_limit), ("pressure_limit", pressure_limit)):
+            if not 0 < limit < np.inf:
+                raise ValueError(f"ReachEnv: {name}={limit}; a positive number is needed")
+        if scene is None:
+            scene = hybrid_robot(gravity=jnp.array([0.0, 0.0, 9.81]))
+        self.stepper = Stepper(scene, dt, scheme=scheme, method=method)
+        self.render_mode, self.max_steps = None, max_steps
+        count = lambda part: 0 if part is None else part.count
+        self._tendons, chambers = count(scene.tendons), count(scene.chambers)
+        if self._tendons + chambers == 0:
+            raise ValueError("ReachEnv: the scene has no tendons and no chambers; add actuators")
+        self._limits = np.repeat([tension_limit, pressure_limit], [self._tendons, chambers])
+        self.action_space = gymnasium.spaces.Box(-1.0, 1.0, self._limits.shape, np.float32)
+        sizes = np.repeat(np.float32([_REACH, _SPEED, _REACH, 1]), [3, 3, 3, self._limits.size])
+        self.observation_space = gymnasium.spaces.Box(-sizes, sizes, dtype=np.float32)
+        self._fresh = None
+        self._state = None
+
+    def reset(
+        self, *, seed: int | None = None, options: dict | None = None
+    ) -> tuple[np.ndarray, dict[str, Any]]:
+        """Begin an episode; `options={"target": (x, y, z)}` [m] sets the target."""
+        super().reset(seed=seed)
+        if self._fresh is None:
+            rest = self._action(-np.ones(self._limits.shape))
+            initial = solve_static(self.stepper.scene, *rest, method=self.stepper.method)
+            self._fresh = self.stepper.reset(initial, rest)
+        self._state, self._steps = self._fresh, 0
+        self._last = -np.ones(self._limits.shape)
+        target = (options or {}).get("target")
+        self._target = self._random_target() if target is None else np.asarray(target, float)
+        if self._target.shape != (3,) or not np.all(np.isfinite(self._target)):
+            raise ValueError(f"ReachEnv.reset: target={target}; three numbers [m] are needed")
+        return self._observed()[:2]
+
+    def step(self, action) -> tuple[np.ndarray, float, bool, bool, dict[str, Any]]:
+        """One step of the rod; see the class."""
+        if self._state is None:
+            raise gymnasium.error.ResetNeeded("ReachEnv.step: call reset first")
+        action = np.clip(np.asarray(action, dtype=float), -1.0, 1.0)
+        if action.shape != self._limits.shape:
+            raise ValueError(
+                f"ReachEnv.step: action has shape {action.shape}; {self._limits.shape} is needed"
+            )
+        self._state = self.stepper.step(self._state, self._action(action))
+        self._steps, self._last = self._steps + 1, action
+        observation, info, distance = self._observed()
+        truncated = info["failed"] or self._steps >= self.max_steps
+        return observation, -distance, False, truncated, info
+
+    def _action(self, action) -> Action:
+        values = 0.5 * (action + 1.0) * self._limits
+        tensions, pressures = values[: self._tendons], values[self._tendons :]
+        return Action(tensions if tensions.size else None, pressures if pressures.size else None)
+
+    def _random_target(self) -> np.ndarray:
+        for _ in range(_DRAWS):
+            action = self._action(self.np_random.uniform(-1.0, 1.0, self._limits.shape))
+            solution = solve_static(
+                self.stepper.scene, *action, method=self.stepper.method, throw=False
+            )
+            if solution.result == RESULTS.successful:
+                return np.asarray(solution.tip_position)
+        raise ValueError(
+            f"ReachEnv.reset: {_DRAWS} random actions have no equilibrium, the last one: "
+            f"{result_message(solution.result)}; lower tension_limit or pressure_limit"
+        )
+
+    def _observed(self):
+        view, length = self.stepper.view(self._state), float(self.stepper.scene.length)
+        parts = (view.tip_position, view.tip_velocity, self._target)
+        observed = np.concatenate([*(np.asarray(x) / length for x in parts), self._last])
+        space = self.observation_space
+        distance = float(np.linalg.norm(self._target - np.asarray(view.tip_position)))
+        info = {
+            "result": int(view.result),
+            "message": result_message(view.result),
+            "failed": bool(view.result != RESULTS.successful),
+            "distance": distance,
+        }
+        clipped = np.clip(observed, space.low, space.high).astype(np.float32)
+        return clipped, info, distance / length
+
+
+gymnasium.register("softrod/Reach-v0", entry_point=f"{__name__}:ReachEnv")

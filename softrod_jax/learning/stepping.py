@@ -1,0 +1,303 @@
+"""A motion one step at a time: `step(state, action) -> state`, a pure function.
+
+For loops in which the next input depends on the motion so far: policies, controllers, learned
+corrections. The steps are those of `simulate`. A state is a pytree: it goes through `jit`,
+`vmap`, `grad` and `lax.scan`.
+"""
+
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float, Int
+
+from softrod_jax.collocation import Collocation
+from softrod_jax.compiling import compiled
+from softrod_jax.inputs import actuation
+from softrod_jax.marching import Course, make_stepping
+from softrod_jax.method import Method
+from softrod_jax.newton import NewtonOptions
+from softrod_jax.precision import require_float64
+from softrod_jax.restrictions import check_scene, in_space
+from softrod_jax.rod import clamp_pose, full_strain, make_rod
+from softrod_jax.rotations import to_base
+from softrod_jax.scene import Scene, as_arrays
+from softrod_jax.statics import StaticSolution
+from softrod_jax.time_schemes import SDIRK, TimeScheme
+
+
+class Action(NamedTuple):
+    """What drives the rod: `tensions` [N], (tendons,), and `pressures` [Pa], (chambers,).
+
+    `None`: these actuators are at zero. In `Stepper.rollout` both have one row a step.
+    """
+
+    tensions: Float[Array, "*steps tendons"] | None = None
+    pressures: Float[Array, "*steps chambers"] | None = None
+
+
+class RodState(eqx.Module):
+    """All that the next step depends on, and the code of the steps so far.
+
+    - `time` [s] since the reset; `action`: what acts at this moment.
+    - `strains` (v, u) and `velocities` (q, omega), (points, 6) each, body frame, at all points
+      of the method. Of a scene that is inextensible, or in a plane, only what is unknown there;
+      `Stepper.view` has all.
+    - `result`: a code of `RESULTS`; 0 is success. From the first step that has no solution on,
+      the rod is held where it was, with the derivative zero, until it is reset.
+    - `iterations` of Newton's method in the last step; `error` there of the discretisation along
+      the rod, estimated, in lengths of the rod.
+
+    `memory` is the time scheme's, `running` what a step hands to the next: where Newton's method
+    starts, the factors of its last Jacobian, the code.
+    """
+
+    time: Float[Array, ""]
+    action: Action
+    memory: Any
+    running: Any
+    first: Bool[Array, ""]
+    jumps: Bool[Array, ""]
+    made_by: tuple[TimeScheme, Method] = eqx.field(static=True)
+
+    @property
+    def strains(self) -> Float[Array, "points 6"]:
+        return self.memory[0].strain
+
+    @property
+    def velocities(self) -> Float[Array, "points 6"]:
+        return self.memory[0].velocity
+
+    @property
+    def result(self) -> Int[Array, ""]:
+        return self.running.result
+
+    @property
+    def iterations(self) -> Int[Array, ""]:
+        return self.running.iterations
+
+    @property
+    def error(self) -> Float[Array, ""]:
+        return self.running.error
+
+
+class RodView(eqx.Module):
+    """What a state looks like from outside; the fields of `Trajectory` at one instant.
+
+    - `time` [s]; `tip_position` [m], (3,), and `tip_velocity` [m/s], (3,), base frame.
+    - `positions` [m], (outputs, 3); `quaternions` (w, x, y, z), (outputs, 4).
+    - `strains` (v, u) and `velocities` (q, omega), (outputs, 6), body frame.
+    - `result`: a code of `RESULTS`.
+    """
+
+    time: Float[Array, "*steps"]
+    tip_position: Float[Array, "*steps 3"]
+    tip_velocity: Float[Array, "*steps 3"]
+    positions: Float[Array, "*steps outputs 3"]
+    quaternions: Float[Array, "*steps outputs 4"]
+    strains: Float[Array, "*steps outputs 6"]
+    velocities: Float[Array, "*steps outputs 6"]
+    result: Int[Array, "*steps"]
+
+
+class Stepper(eqx.Module):
+    """A scene and how it is stepped through time.
+
+    - `dt` [s]: the length of a step; `substeps`: equal parts into which it is divided.
+    - `scheme`, `method`, `newton`: as in `simulate`.
+
+    A pytree, too: differentiate in `scene` and `dt`, or map over a batch of them.
+    All its methods are pure and compiled; no failure of a step raises, see `RodState.result`.
+    Raises `ValueError` for a step dt <= 0, fewer than one substep, and without float64.
+    """
+
+    scene: Scene
+    dt: Float[Array, ""]
+    scheme: TimeScheme
+    method: Method
+    newton: NewtonOptions
+    substeps: int = eqx.field(static=True)
+
+    def __init__(
+        self,
+        scene: Scene,
+        dt,
+        *,
+        substeps: int = 1,
+        scheme: TimeScheme = SDIRK(),  # noqa: B008
+        method: Method = Collocation(),  # noqa: B008
+        newton: NewtonOptions = NewtonOptions(),  # noqa: B008
+    ):
+        require_float64("Stepper")
+        dt = jnp.asarray(dt, dtype=float)
+        if not isinstance(dt, jax.core.Tracer) and not (dt.ndim == 0 and 0 < dt < np.inf):
+            raise ValueError(f"Stepper: dt={dt} s; a positive number is needed")
+        if not isinstance(substeps, int) or substeps < 1:
+            raise ValueError(f"Stepper: substeps={substeps!r}; a whole number from 1 is needed")
+        self.scene, self.dt, self.substeps = as_arrays(scene), dt, substeps
+        check_scene("Stepper", self.scene)
+        self.scheme, self.method, self.newton = scheme, method, newton
+
+    def reset(
+        self, initial: StaticSolution | None = None, action: Action | None = None
+    ) -> RodState:
+        """The state of a rod at rest: unloaded, with all actuators at zero.
+
+        - `initial`: in this equilibrium instead, found with the same `method` under `action`.
+
+        Raises `ValueError` for an `initial` of another method, or an `action` without one.
+        """
+        if initial is None and action is not None:
+            raise ValueError(
+                "Stepper.reset: an action without `initial`; give the equilibrium under it, "
+                "solve_static(scene, *action, method=stepper.method)"
+            )
+        if initial is not None and initial.method != self.method:
+            raise ValueError(
+                "Stepper.reset: `initial` was solved with another method; give both the same "
+                "`method`"
+            )
+        action = self._checked("Stepper.reset", Action() if action is None else action, ndim=1)
+        return _reset(self, initial, action)
+
+    def step(self, state: RodState, action: Action, jump=None) -> RodState:
+        """The state one `dt` later.
+
+        - `action`: reached linearly at the end of the step, from what acted before; the same
+          again is constant.
+        - `jump`: whether it acts from the beginning of the step instead, a bool or a traced one.
+          By default only the first step of an unloaded rod jumps, as in `simulate`.
+
+        An action that is not finite, or a negative tension, is the code `bad_input` where it is
+        traced. Raises `ValueError` where it is not, for wrong shapes, and for a state that a
+        stepper of another scheme or method made.
+        """
+        self._own("Stepper.step", state)
+        action = self._checked("Stepper.step", action, ndim=1)
+        return _step(self, state, action, state.jumps if jump is None else jnp.asarray(jump))
+
+    def rollout(
+        self, state: RodState, actions: Action, jumps: Bool[Array, "steps"] | None = None
+    ) -> tuple[RodState, RodView]:
+        """Steps through `actions`, (steps, tendons) and (steps, chambers), one row a step.
+
+        Returns the last state, and what is seen after each step, with a leading axis of steps.
+        """
+        self._own("Stepper.rollout", state)
+        actions = self._checked("Stepper.rollout", actions, ndim=2)
+        sizes = {x.shape[0] for x in jax.tree.leaves(actions)}
+        if len(sizes) != 1:
+            raise ValueError(f"Stepper.rollout: lengths of {sizes}; one row a step is needed")
+        if jumps is not None and jnp.shape(jumps) != (*sizes,):
+            raise ValueError(
+                f"Stepper.rollout: jumps has shape {jnp.shape(jumps)}; one a step is needed"
+            )
+        return _rollout(self, state, actions, jumps)
+
+    def view(self, state: RodState) -> RodView:
+        """Where the rod is, and how it moves."""
+        self._own("Stepper.view", state)
+        return _view(self, state)
+
+    def _own(self, who, state):
+        if state.made_by != (self.scheme, self.method):
+            raise ValueError(
+                f"{who}: the state was made with {state.made_by}, and this stepper has "
+                f"{(self.scheme, self.method)}; use one stepper from the reset on"
+            )
+
+    def _checked(self, who, action, ndim) -> Action:
+        """With arrays for all actuators that the scene has."""
+        tensions, pressures = actuation(who, self.scene, *action, ndim)
+        given = [x.shape[:-1] for x in (tensions, pressures) if x is not None]
+        if ndim == 2 and not given:
+            raise ValueError(f"{who}: no inputs to tell how many steps; give rows of zeros")
+        rows = given[0] if given else ()
+
+        def filled(values, actuators):
+            if values is not None or actuators is None:
+                return values
+            return jnp.zeros((*rows, actuators.count))
+
+        return Action(filled(tensions, self.scene.tendons), filled(pressures, self.scene.chambers))
+
+
+def reset_where(done: Bool[Array, ""], fresh: RodState, state: RodState) -> RodState:
+    """`fresh` where `done`, else `state`; inside `vmap`, each sample by itself.
+
+    `fresh` may be one state for the whole batch (`in_axes=(0, None, 0)`) or one for each.
+    """
+    return jax.tree.map(lambda a, b: jnp.where(done, a, b), fresh, state)
+
+
+def _stepping(stepper, action, strain=None):
+    return make_stepping(
+        stepper.scene,
+        stepper.dt,
+        action,
+        strain,
+        stepper.substeps,
+        stepper.scheme,
+        stepper.method,
+        stepper.newton,
+    )
+
+
+@compiled
+def _reset(stepper, initial, action):
+    from_rest = initial is None
+    strain = None if from_rest else initial.point_strains
+    memory, running = _stepping(stepper, action, strain).start()
+    if not from_rest:
+        running = running._replace(result=initial.result)
+    true = jnp.array(True)
+    made_by = (stepper.scheme, stepper.method)
+    return RodState(jnp.zeros(()), action, memory, running, true, true & from_rest, made_by)
+
+
+@compiled
+def _step(stepper, state, action, jump):
+    good = [jnp.all(jnp.isfinite(x)) for x in jax.tree.leaves(action)]
+    finite = jnp.all(jnp.array([True, *good]))
+    # Zeros in the place of what is not finite spoil no derivative.
+    action = jax.tree.map(lambda x: jnp.where(finite, x, 0.0), action)
+    jumps = jax.tree.map(lambda x: jnp.broadcast_to(jump, x.shape), action)
+    course = Course(state.action, action, jumps, finite)
+    restart = state.first | jump
+    length = stepper.dt / stepper.substeps
+    coefficients = stepper.scheme.coefficients(length, restart[None])[0]
+    before = (state.memory, state.running)
+    (memory, running), _ = _stepping(stepper, action).step(before, (coefficients, course))
+    no = jnp.array(False)
+    return RodState(state.time + stepper.dt, action, memory, running, no, no, state.made_by)
+
+
+@compiled
+def _rollout(stepper, state, actions, jumps):
+    def one(state, row):
+        action, jump = row
+        state = _step(stepper, state, action, state.jumps if jump is None else jump)
+        return state, _view(stepper, state)
+
+    return jax.lax.scan(one, state, (actions, jumps))
+
+
+@compiled
+def _view(stepper, state):
+    method, scene = stepper.method, stepper.scene
+    rod = make_rod(scene)
+    strains = full_strain(state.strains, rod)
+    positions, quaternions = method.shape(strains, scene.length, *clamp_pose(scene))
+    velocities = in_space(method.outputs(state.velocities), scene.plane)
+    return RodView(
+        time=state.time,
+        tip_position=positions[-1],
+        tip_velocity=to_base(quaternions[-1], velocities[-1, :3]),
+        positions=positions,
+        quaternions=quaternions,
+        strains=method.outputs(strains),
+        velocities=velocities,
+        result=state.result,
+    )
