@@ -6,6 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from calibration.checks import Refined, row
+from calibration.drift import drifts
 from calibration.loss import Point, Problem
 from calibration.model import Motion, tip_at
 from calibration.recording import Recording
@@ -67,12 +68,15 @@ def recording_fit(
     chosen = kept(recording, selection)
     times, measured = recording.times[chosen], recording.tip_positions[chosen]
     residuals = np.where(np.isfinite(measured), evaluation.residuals[k, : len(times)], np.nan)
-    delay = problem.delays(best.x)[k]
+    course = {name: x[k] for name, x in problem.courses(best.x).items()}
+    delay, drift = course["delay"], drifts(course, clock)
     motion, alignment = row(evaluation.motion, k), row(evaluation.alignment, k)
     curve_times = np.linspace(times[0], times[-1], 4 * len(times))
-    simulate_at = jnp.asarray(curve_times - clock.origin - delay)
+    gained = drift["clock"].at(curve_times)[:, 0] if "clock" in drift else 0.0
+    moved = drift["tip"].at(curve_times) if "tip" in drift else 0.0
+    simulate_at = jnp.asarray(curve_times - clock.origin - delay - gained)
     curve = tip_at(motion, clock.dt, simulate_at)
-    curve = np.asarray(curve + alignment.of(curve - motion.positions[0]))
+    curve = np.asarray(curve + alignment.of(curve - motion.positions[0])) + moved
     at = clock.origin - clock.zero + delay
     ci95 = None
     if problem.time_offset and known is not None:
@@ -97,6 +101,7 @@ def recording_fit(
         rmse_axes=np.where(np.any(np.isfinite(measured), axis=0), axes, np.nan),
         time_offset=at,
         time_offset_ci95=ci95,
+        drift=drift,
         tip_offset=None if recording.origin_known else np.asarray(alignment.offset),
         frame_rotation=None if recording.origin_known else np.asarray(alignment.rotation),
         shape_times=step * rows,

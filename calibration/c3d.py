@@ -9,6 +9,8 @@ which axis runs along the rod, and when the rod was let go. This reader takes
   scene's straight tip. Only displacements are therefore measured.
 """
 
+import subprocess
+import sys
 from os import PathLike
 from pathlib import Path
 
@@ -110,6 +112,7 @@ def read_points(path) -> tuple[np.ndarray, list[str], float, float, int]:
         raise RecordingError(f"{path}: cannot read the recording: {reason}") from None
     if len(head) < 10 or head[1] != 0x50:
         raise RecordingError(f"{path}: not a C3D file (its second byte is not 0x50)")
+    _try_apart(path)
     try:
         file = ezc3d.c3d(str(path))
         points = np.array(file["data"]["points"][:3]).transpose(2, 1, 0)
@@ -124,6 +127,14 @@ def read_points(path) -> tuple[np.ndarray, list[str], float, float, int]:
     # ezc3d says nothing of a file that was cut short, and forgets what its header promised.
     first, last = (int.from_bytes(head[i : i + 2], "little") for i in (6, 8))
     return points, labels, _unit(parameters, path), _rate(parameters, path), last - first + 1
+
+
+def _try_apart(path) -> None:
+    """Read the file in a process of its own first: ezc3d dies of some corrupted ones."""
+    program = "import sys, ezc3d\ntry: ezc3d.c3d(sys.argv[1])\nexcept Exception: pass"
+    done = subprocess.run([sys.executable, "-c", program, str(path)], capture_output=True)
+    if done.returncode < 0 or done.returncode > 255:  # by a signal; Windows: by an exception
+        raise RecordingError(f"{path}: ezc3d crashes on it: the file is corrupted; export it again")
 
 
 def _unit(parameters, path) -> float:

@@ -46,7 +46,7 @@ def _shift(best: Point, known: Uncertainty, batch: Batch, method):
         problem.setup,
         batch,
         jnp.asarray(problem.unknowns.theta(best.x)),
-        jnp.asarray(problem.delays(best.x)),
+        problem.courses(best.x),
         problem.unknowns.names,
         problem.scheme,
         method,
@@ -70,10 +70,10 @@ def hold_out(problem: Problem, best: Point) -> Point:
     low, high = problem.bounds
     for _ in range(_CLOCK_STEPS if problem.time_offset and point.ok else 0):
         # Gauss-Newton; each clock sees its own recording only.
-        J = point.jacobian[:, problem.size :]
+        J = point.jacobian[:, problem.delays]
         step = -(J.T @ point.residuals) / np.maximum(np.sum(J**2, axis=0), 1e-30)
         x = point.x.copy()
-        x[problem.size :] += np.clip(step, -1.0, 1.0)
+        x[problem.delays] += np.clip(step, -1.0, 1.0)
         trial = problem.at(np.clip(x, low, high))
         if not (trial.ok and trial.loss < point.loss):
             break

@@ -174,7 +174,7 @@ def _released_in(many: Problem, x, own: list[int], duration: float) -> np.ndarra
         item = many.unknowns.items[i]
         x[i] = item.parameter.scale.theta(item.initial, duration)
     if many.time_offset:
-        x[many.size :] -= np.array([duration / 2 / c.interval for c in many.clocks])
+        x[many.delays] -= np.array([duration / 2 / c.interval for c in many.clocks])
     return x
 
 

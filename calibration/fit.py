@@ -14,6 +14,7 @@ from calibration import materials, optimise, robust, uncertainty
 from calibration.assemble import estimates, recording_fit
 from calibration.checkpoint import Checkpoint
 from calibration.checks import Refined, hold_out, refine
+from calibration.drift import durations
 from calibration.explain import explain as what_else
 from calibration.loss import Point, Problem, reverse_pays
 from calibration.model import METHOD, SCHEME, make_batch
@@ -56,6 +57,7 @@ def calibrate(
     max_iterations: int | None = None,
     dt: float | None = None,
     window: tuple[float, float] | None = None,
+    drift: Mapping[str, float] | None = None,
     checkpoint: str | PathLike | None = None,
     resume: bool = False,
     scheme=SCHEME,
@@ -87,6 +89,9 @@ def calibrate(
       that is nearest below 10 ms.
     - `window`: use the samples from start to end [s, the recordings' clocks]; by default
       the rule `calibration.selection.RULE`.
+    - `drift`: what may drift in logs with inputs, out of "clock", "tip" and "inputs", and the
+      duration [s] of the windows in each of which it changes linearly (`calibration.drift`); by
+      default nothing does.
     - `checkpoint`: a file in which the state is kept while the fit runs; `resume`: go on from it.
     - `scheme`, `method`: in time and along the rod, as for `softrod_jax.simulate`.
 
@@ -116,6 +121,7 @@ def calibrate(
     for name, value in (("max_iterations", max_iterations), ("starts", starts)):
         if value is not None and value < 1:
             raise ValueError(f"{name}={value}: at least 1 is needed")
+    drift = durations(drift)
     labels = _labels([*recordings, *held_out])
     check_conditions(scene, [*recordings, *held_out])
     differing = {name for r in (*recordings, *held_out) for name in r.conditions}
@@ -130,7 +136,7 @@ def calibrate(
     selections = [select(r, window) for r in recordings]
     known_parameters, _ = catalogue(setup.scene)
     defaults = {name: known_parameters[name].get(setup) for name in differing}
-    batch, clocks = make_batch(scene, recordings, selections, time_offset, dt, defaults)
+    batch, clocks = make_batch(scene, recordings, selections, time_offset, dt, defaults, drift)
     problem = Problem(setup, batch, clocks, unknowns, time_offset, scheme, method)
     descends = optimiser == "adam" and reverse_pays(len(unknowns.names), outputs=1)
     searched = replace(problem, reverse=descends)
@@ -159,7 +165,7 @@ def calibrate(
         finer = Refined(None, None, None)
         if checks:
             log.stage("checks", None)
-            half = _half_step(problem, recordings, selections, defaults)
+            half = _half_step(problem, recordings, selections, defaults, drift)
             finer = refine(best, known, half)
         explanations = None
         if explain:
@@ -307,11 +313,11 @@ def _reweighted(outcome: Outcome, loss: str, max_iterations: int, log) -> Outcom
     return Outcome(point, outcome.result, iterations)
 
 
-def _half_step(problem, recordings, selections, defaults):
+def _half_step(problem, recordings, selections, defaults, drift):
     """The batch with half the time step."""
     half = [c.dt / 2 for c in problem.clocks]
     return make_batch(
-        problem.scene, recordings, selections, problem.time_offset, half, defaults
+        problem.scene, recordings, selections, problem.time_offset, half, defaults, drift
     )[0]
 
 
@@ -332,6 +338,7 @@ def _held_out(best: Point, recordings, labels, window, dt, defaults) -> tuple[Re
             defaults,
             steps=problem.batch.steps,
             samples=problem.batch.times.shape[1],
+            windows={name: x.shape[-1] for name, x in problem.batch.ramps.items()},
         )
         unknowns = problem.unknowns.shared(many)
         point = hold_out(replace(problem, batch=batch, clocks=clocks, unknowns=unknowns), best)

@@ -17,8 +17,11 @@ import numpy as np
 from jaxtyping import Array, Float
 
 import softrod_jax as sr
+from calibration import drift
 from calibration.alignment import Alignment, align
-from calibration.model import Batch, Clock, Motion, simulate_motion, tip_at
+from calibration.drift import Clock
+from calibration.model import Batch, Motion, driven, simulate_motion, tip_at
+from calibration.onset import white_noise
 from calibration.parameters import with_values
 from calibration.setup import Setup
 from calibration.unknowns import Unknowns, conditioned
@@ -46,29 +49,34 @@ class Evaluation(eqx.Module):
     """Residuals [m] and sensitivities of every recording; padded and missing samples are 0.
 
     - `residuals`, (recordings, samples, 3): simulated minus measured.
-    - `by_parameter`, (recordings, samples, 3, parameters), and `by_delay` [m/s], (recordings,
-      samples, 3): of the residuals, by forward mode. By reverse mode, (recordings, parameters)
-      [m^2] and (recordings,) [m^2/s]: of each recording's sum of squared weighted residuals.
+    - `by_parameter`, (recordings, samples, 3, parameters), and `by_course`, its leaves
+      (recordings, samples, 3, ..) by those of the course, see `evaluate`: of the residuals, by
+      forward mode. By reverse mode, (recordings, parameters) [m^2] and (recordings, ..): of each
+      recording's sum of squared weighted residuals.
     - `alignment`: what was added to the simulated tip to get there.
     - `motion`: the simulated tips, before that.
     """
 
     residuals: Float[Array, "recordings samples 3"]
     by_parameter: Float[Array, "recordings *samples parameters"]
-    by_delay: Float[Array, "recordings *samples"]
+    by_course: dict[str, Float[Array, "recordings ..."]]
     alignment: Alignment
     motion: Motion
 
 
 def evaluate(
-    setup, batch: Batch, theta, delays, names, scheme, method, reverse: bool = False
+    setup, batch: Batch, theta, courses, names, scheme, method, reverse: bool = False
 ) -> Evaluation:
-    """Residuals at `theta`, (recordings, names), and `delays` [s], (recordings,).
+    """Residuals at `theta`, (recordings, names), and `courses`.
+
+    A course is how a recording's clock and sensor see the simulation, and what became of its
+    inputs: a dictionary of "delay" [s], (recordings,), and for each channel that may drift of how
+    much it changes in each window, (recordings, windows, numbers), see `calibration.drift`.
 
     A simulation that fails has residuals of ten rod lengths, whose sensitivities are zero.
     """
     return _compiled(_gradients if reverse else _sensitivities)(
-        setup, batch, theta, delays, names, scheme, method
+        setup, batch, theta, courses, names, scheme, method
     )
 
 
@@ -87,60 +95,77 @@ def _each(one, batch: Batch, *inputs):
     return sr.spread(one, devices)(batch, *inputs)
 
 
-def _gradients(setup, batch, theta, delays, names, scheme, method):
-    def one(recording, theta, delay):
+def _moved(own: Setup, recording: Batch, course, scheme, method) -> Motion:
+    """The motion under the inputs as they arrive."""
+    if "inputs" in course:
+        recording = driven(recording, course["inputs"][:, 0])
+    return simulate_motion(own, recording, scheme, method)
+
+
+def _gradients(setup, batch, theta, courses, names, scheme, method):
+    def one(recording, theta, course):
         own = conditioned(setup, recording.conditions)
 
-        def loss(theta, delay):
-            motion = simulate_motion(with_values(own, names, theta), recording, scheme, method)
-            r, alignment = _residual(motion, recording, delay, setup.scene.length)
+        def loss(theta, course):
+            motion = _moved(with_values(own, names, theta), recording, course, scheme, method)
+            r, alignment = _residual(motion, recording, course, setup.scene.length)
             return jnp.sum((recording.weights * r) ** 2), (r, alignment, motion)
 
-        (by_theta, by_delay), (r, *rest) = jax.grad(loss, (0, 1), has_aux=True)(theta, delay)
-        return Evaluation(r, by_theta, by_delay, *rest)
+        (by_theta, by_course), (r, *rest) = jax.grad(loss, (0, 1), has_aux=True)(theta, course)
+        return Evaluation(r, by_theta, by_course, *rest)
 
-    return _each(one, batch, theta, delays)
+    return _each(one, batch, theta, courses)
 
 
-def _sensitivities(setup, batch, theta, delays, names, scheme, method):
-    def one(recording, theta, delay):
+def _sensitivities(setup, batch, theta, courses, names, scheme, method):
+    def one(recording, theta, course):
         own = conditioned(setup, recording.conditions)
+        # Only these move the rod; what else is in the course costs no simulation.
+        inputs = {name: x for name, x in course.items() if name == "inputs"}
 
-        def by_theta(theta):
-            motion = simulate_motion(with_values(own, names, theta), recording, scheme, method)
-            return residual(motion, delay)[0], motion
+        def by_cause(theta, inputs):
+            motion = _moved(with_values(own, names, theta), recording, inputs, scheme, method)
+            return residual(motion, course)[0], motion
 
-        def residual(motion, delay):
-            return _residual(motion, recording, delay, setup.scene.length)
+        def residual(motion, course):
+            return _residual(motion, recording, course, setup.scene.length)
 
-        by_parameter, motion = jax.jacfwd(by_theta, has_aux=True)(theta)
-        by_delay = jax.jacfwd(lambda d: residual(motion, d)[0])(delay)
-        r, alignment = residual(motion, delay)
-        return Evaluation(r, by_parameter, by_delay, alignment, motion)
+        (by_parameter, by_inputs), motion = jax.jacfwd(by_cause, (0, 1), has_aux=True)(
+            theta, inputs
+        )
+        seen = {name: x for name, x in course.items() if name not in inputs}
+        by_course = jax.jacfwd(lambda c: residual(motion, c)[0])(seen)
+        r, alignment = residual(motion, course)
+        return Evaluation(r, by_parameter, {**by_course, **by_inputs}, alignment, motion)
 
-    return _each(one, batch, theta, delays)
+    return _each(one, batch, theta, courses)
 
 
-def predict(setup, batch: Batch, theta, delays, names, scheme, method):
+def predict(setup, batch: Batch, theta, courses, names, scheme, method):
     """Like `evaluate`, without sensitivities: residuals and motions of every recording."""
-    return _compiled(_predict)(setup, batch, theta, delays, names, scheme, method)
+    return _compiled(_predict)(setup, batch, theta, courses, names, scheme, method)
 
 
-def _predict(setup, batch, theta, delays, names, scheme, method):
-    def one(recording, theta, delay):
+def _predict(setup, batch, theta, courses, names, scheme, method):
+    def one(recording, theta, course):
         own = with_values(conditioned(setup, recording.conditions), names, theta)
-        motion = simulate_motion(own, recording, scheme, method)
-        return _residual(motion, recording, delay, setup.scene.length)[0], motion
+        motion = _moved(own, recording, course, scheme, method)
+        return _residual(motion, recording, course, setup.scene.length)[0], motion
 
-    return _each(one, batch, theta, delays)
+    return _each(one, batch, theta, courses)
 
 
-def _residual(motion: Motion, recording: Batch, delay, length):
+def _residual(motion: Motion, recording: Batch, course, length):
     ok = motion.result == sr.RESULTS.successful
     used = recording.used
-    tip = tip_at(motion, recording.dt, recording.times - delay)
-    missed = jnp.where(used & ok, recording.tip - tip, 0.0)
+    times = recording.times - course["delay"]
+    if "clock" in course:
+        times = times - recording.ramps["clock"] @ course["clock"][:, 0]
+    tip = seen = tip_at(motion, recording.dt, times)
+    if "tip" in course:
+        seen = tip + recording.ramps["tip"] @ course["tip"]
     moved = jnp.where(ok, tip - motion.positions[0], 0.0)
+    missed = jnp.where(used & ok, recording.tip - seen, 0.0)
     alignment = align(moved, missed, recording.weights)
     free = recording.free_frame
     alignment = jax.tree.map(lambda x: jnp.where(free, x, 0.0), alignment)
@@ -149,15 +174,16 @@ def _residual(motion: Motion, recording: Batch, delay, length):
 
 
 @jax.jit
-def losses_by_delay(motion: Motion, batch: Batch, delays, length):
-    """Sums of squares [m^2] at `delays` [s], (recordings, tries): (recordings, tries)."""
+def losses_by_delay(motion: Motion, batch: Batch, courses, delays, length):
+    """Sums of squares [m^2] at `delays` [s], (recordings, tries), the rest of the courses being as
+    it is: (recordings, tries)."""
 
-    def one(motion, recording, delay):
-        residual = _residual(motion, recording, delay, length)[0]
+    def one(motion, recording, course, delay):
+        residual = _residual(motion, recording, {**course, "delay": delay}, length)[0]
         return jnp.sum((recording.weights * residual) ** 2)
 
-    return jax.vmap(jax.vmap(one, in_axes=(None, None, 0)), in_axes=(0, 0, 0))(
-        motion, batch, delays
+    return jax.vmap(jax.vmap(one, in_axes=(None, None, None, 0)), in_axes=(0, 0, 0, 0))(
+        motion, batch, courses, delays
     )
 
 
@@ -165,7 +191,8 @@ def losses_by_delay(motion: Motion, batch: Batch, delays, length):
 class Point:
     """A place in the space of all unknowns, evaluated.
 
-    `x`: theta of the parameters, then the delays in sample intervals; (unknowns,).
+    `x`, (unknowns,): theta of the parameters, then the delays in sample intervals, then for each
+    recording the drifts of its windows in terms of their standard deviations (`calibration.drift`).
     `result`: the worst result code; 0 if every simulation succeeded.
     """
 
@@ -187,34 +214,41 @@ class Point:
         J = np.zeros((*weights.shape, self.x.size))
         for k, j in np.argwhere(unknowns.columns >= 0):
             J[k, ..., unknowns.columns[k, j]] += self.evaluation.by_parameter[k, ..., j]
-        if problem.time_offset:
-            for k, clock in enumerate(problem.clocks):
-                J[k, ..., problem.size + k] = self.evaluation.by_delay[k] * clock.interval
+        for name, (place, size) in problem.course_columns.items():
+            for k, *j in np.argwhere(place >= 0):
+                by = self.evaluation.by_course[name][k, ..., *j]
+                J[k, ..., place[k, *j]] = by * size[k, *j]
         return (weights[..., None] * J).reshape(-1, self.x.size)
 
     @cached_property
     def gradient(self) -> np.ndarray:
         """Of the loss, (unknowns,) [m^2]."""
         problem, unknowns = self.problem, self.problem.unknowns
+        prior = 2 * problem.prior * self.x
         if not problem.reverse:
-            return 2 * self.jacobian.T @ self.residuals
-        gradient = np.zeros(self.x.size)
+            return 2 * self.jacobian.T @ self.residuals + prior
+        gradient = prior
         for k, j in np.argwhere(unknowns.columns >= 0):
             gradient[unknowns.columns[k, j]] += self.evaluation.by_parameter[k, j]
-        if problem.time_offset:
-            intervals = np.array([clock.interval for clock in problem.clocks])
-            gradient[problem.size :] = self.evaluation.by_delay * intervals
+        for name, (place, size) in problem.course_columns.items():
+            for k, *j in np.argwhere(place >= 0):
+                gradient[place[k, *j]] += self.evaluation.by_course[name][k, *j] * size[k, *j]
         return gradient
 
     @cached_property
-    def loss(self) -> float:
+    def misfit(self) -> float:
         """Sum of squared weighted residuals [m^2]."""
         return float(np.sum(self.residuals**2))
+
+    @cached_property
+    def loss(self) -> float:
+        """What is made small: the misfit and what is believed of drifts beforehand [m^2]."""
+        return self.misfit + float(np.sum(self.problem.prior * self.x**2))
 
     @property
     def rms(self) -> float:
         """Root mean square distance between measured and simulated tip [m]."""
-        return float(np.sqrt(self.loss / self.problem.samples))
+        return float(np.sqrt(self.misfit / self.problem.samples))
 
     @property
     def result(self) -> int:
@@ -250,6 +284,54 @@ class Problem:
         """How many parameters are fitted; the delays come after them in x."""
         return len(self.unknowns.items)
 
+    @property
+    def delays(self) -> slice:
+        """Where the delays are in x."""
+        return slice(self.size, self.size + len(self.clocks) * self.time_offset)
+
+    @cached_property
+    def course_columns(self) -> dict[str, tuple[np.ndarray, np.ndarray]]:
+        """Of every number of the recordings' courses, shaped like these: which entry of x it is,
+        -1 for none, and its size in units of x."""
+        many, end = len(self.clocks), self.delays.stop
+        place = np.arange(many) + self.size if self.time_offset else np.full(many, -1)
+        columns = {"delay": (place, np.array([clock.interval for clock in self.clocks]))}
+        for name, ramps in self.batch.ramps.items():
+            place = np.full((many, ramps.shape[-1], drift.CHANNELS[name]), -1)
+            size = np.zeros(place.shape)
+            for k, clock in enumerate(self.clocks):
+                own = place[k, : clock.windows.get(name, 0)]
+                if own.size:
+                    own[...] = end + np.arange(own.size).reshape(own.shape)
+                    size[k] = drift.size(clock, name, self.scene.length)
+                    end += own.size
+            columns[name] = place, size
+        return columns
+
+    @cached_property
+    def drifts(self) -> int:
+        """How many unknowns all drifts have, the last of x."""
+        return sum(
+            drift.CHANNELS[name] * windows
+            for clock in self.clocks
+            for name, windows in clock.windows.items()
+        )
+
+    @cached_property
+    def prior(self) -> np.ndarray:
+        """(unknowns,) [m^2]: weights of x^2 in the loss, for what is believed of drifts."""
+        prior = np.zeros(self.delays.stop + self.drifts)
+        if self.drifts:
+            prior[self.delays.stop :] = self.noise**2
+        return prior
+
+    @cached_property
+    def noise(self) -> float:
+        """Standard deviation [m] of a coordinate's noise, from second differences."""
+        used = np.all(np.asarray(self.batch.used), axis=-1)
+        tips = [np.asarray(tip)[u] for tip, u in zip(self.batch.tip, used, strict=True)]
+        return float(np.median([white_noise(tip) for tip in tips]))
+
     @cached_property
     def bounds(self) -> tuple[np.ndarray, np.ndarray]:
         """Lowest and highest x."""
@@ -257,7 +339,8 @@ class Problem:
         if self.time_offset:
             low += [c.low / c.interval for c in self.clocks]
             high += [c.high / c.interval for c in self.clocks]
-        return np.array(low), np.array(high)
+        far = [drift.LARGEST] * self.drifts
+        return np.array(low + [-x for x in far]), np.array(high + far)
 
     @cached_property
     def weights(self) -> np.ndarray:
@@ -283,14 +366,15 @@ class Problem:
         return replace(self, batch=batch)
 
     def start(self) -> np.ndarray:
-        """x at the setup's own values and the first guess of the clocks."""
-        return np.zeros(self.size + len(self.clocks) * self.time_offset)
+        """x at the setup's own values, the first guess of the clocks, and no drift."""
+        return np.zeros(self.delays.stop + self.drifts)
 
-    def delays(self, x) -> np.ndarray:
-        """Delays [s], (recordings,)."""
-        if not self.time_offset:
-            return np.zeros(len(self.clocks))
-        return x[self.size :] * np.array([c.interval for c in self.clocks])
+    def courses(self, x) -> dict[str, np.ndarray]:
+        """The courses at `x`, see `evaluate`."""
+        return {
+            name: np.where(place < 0, 0.0, x[np.maximum(place, 0)]) * size
+            for name, (place, size) in self.course_columns.items()
+        }
 
     def at(self, x, batch: Batch | None = None) -> Point:
         """Evaluate at `x`, cut to the bounds."""
@@ -299,7 +383,7 @@ class Problem:
             self.setup,
             self.batch if batch is None else batch,
             jnp.asarray(self.unknowns.theta(x)),
-            jnp.asarray(self.delays(x)),
+            self.courses(x),
             self.unknowns.names,
             self.scheme,
             self.method,

@@ -7,7 +7,6 @@ interpolated in time, so that it is a smooth function of the delay.
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 
 import equinox as eqx
 import jax
@@ -16,6 +15,8 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 import softrod_jax as sr
+from calibration import drift
+from calibration.drift import Clock
 from calibration.frames import straight_tip
 from calibration.onset import detect_onset
 from calibration.recording import Recording, RecordingError
@@ -49,6 +50,8 @@ class Batch(eqx.Module):
     - `weights`, like `tip`: of each residual in the sum of squares, as a factor of the residual;
       0 where not `used`.
     - `free_frame`: the recording does not know where the clamp is, nor its axes quite.
+    - `ramps`: for each channel that may drift what part of each of its windows is over, at
+      `times`, and for the inputs at their rows: (recordings, samples or rows, windows).
     - `conditions`: values in which recordings differ from the setup, by name, (recordings,).
     """
 
@@ -61,25 +64,10 @@ class Batch(eqx.Module):
     weights: Float[Array, "recordings samples 3"]
     hanging: Bool[Array, "recordings"]
     free_frame: Bool[Array, "recordings"]
+    ramps: dict[str, Float[Array, "recordings _ windows"]]
     conditions: dict[str, Float[Array, "recordings"]]
     steps: int = eqx.field(static=True)
     any_hanging: bool = eqx.field(static=True)
-
-
-@dataclass(frozen=True)
-class Clock:
-    """How a recording's time relates to the simulation's, which starts at `origin` + delay.
-
-    All in s, the recording's clock; the delay is within `low` <= delay <= `high`. A time offset
-    as reported is `origin - zero + delay`.
-    """
-
-    origin: float
-    zero: float
-    low: float
-    high: float
-    dt: float
-    interval: float
 
 
 class Motion(eqx.Module):
@@ -131,6 +119,13 @@ def simulate_motion(setup: Setup, batch: Batch, scheme, method) -> Motion:
     return Motion(positions, velocities, trajectory.positions, result)
 
 
+def driven(batch: Batch, drifted: Float[Array, "windows"]) -> Batch:
+    """The recording with its inputs as they arrive, `drifted` by so much in each window."""
+    arriving = 1.0 + batch.ramps["inputs"] @ drifted
+    inputs = lambda b: [x for x in (b.tensions, b.pressures) if x is not None]
+    return eqx.tree_at(inputs, batch, [arriving[:, None] * x for x in inputs(batch)])
+
+
 def _rest_strain(scene):
     v = jnp.array([0.0, 0.0, 1.0]) if scene.rest_stretch is None else scene.rest_stretch
     u = jnp.zeros(3) if scene.rest_curvature is None else scene.rest_curvature
@@ -160,14 +155,17 @@ def make_batch(
     time_offset: bool,
     dt: float | Sequence[float] | None,
     defaults: Mapping[str, float],
+    drifting: Mapping[str, float] | None = None,
     steps: int = 0,
     samples: int = 0,
+    windows: Mapping[str, int] | None = None,
 ) -> tuple[Batch, list[Clock]]:
-    """The recordings as arrays, and their clocks; `steps` and `samples`: the least
-    number of them, so that the batch runs through a program compiled for another.
+    """The recordings as arrays, and their clocks; `steps`, `samples` and `windows`: the
+    least number of them, so that the batch runs through a program compiled for another.
 
     `dt` [s], of all or of each; None chooses. `defaults`: the conditions in which recordings
-    differ, by name, each with the value of those that do not give it.
+    differ, by name, each with the value of those that do not give it. `drifting`: the channels that
+    may drift, and the durations of their windows [s].
 
     Raises `RecordingError` if a release cannot be seen in a recording and `time_offset` is
     asked for, or if inputs do not fit the scene; `ValueError` for a bad `dt`.
@@ -175,9 +173,12 @@ def make_batch(
     for recording in recordings:
         _check_inputs(scene, recording)
     each = dt if isinstance(dt, Sequence) else [dt] * len(recordings)
-    clocks = [_clock(scene, r, time_offset, d) for r, d in zip(recordings, each, strict=True)]
+    clocks = [
+        drift.divided(_clock(scene, r, time_offset, d), r, s, drifting or {})
+        for r, s, d in zip(recordings, selections, each, strict=True)
+    ]
     needed = max(
-        math.ceil((s.end - c.origin - c.low) / c.dt - 1e-9)
+        math.ceil((s.end - c.origin - c.low + drift.latest(c)) / c.dt - 1e-9)
         for s, c in zip(selections, clocks, strict=True)
     )
     steps = max(_padded(needed), steps)
@@ -185,12 +186,23 @@ def make_batch(
     shape = (len(recordings), max(samples, _padded(max(int(np.sum(k)) for k in chosen))))
     times, tip = np.zeros(shape), np.zeros((*shape, 3))
     used = np.zeros((*shape, 3), dtype=bool)
+    most = {
+        name: max(n, *(c.windows.get(name, 0) for c in clocks))
+        for name, n in {**dict.fromkeys(drifting or {}, 0), **(windows or {})}.items()
+    }
+    over = {
+        name: np.zeros((len(recordings), steps + 1 if name == "inputs" else shape[1], n))
+        for name, n in most.items()
+    }
     for i, (r, c, k) in enumerate(zip(recordings, clocks, chosen, strict=True)):
         n = int(np.sum(k))
         measured = r.tip_positions[k]
         times[i, :n] = r.times[k] - c.origin
         used[i, :n] = np.isfinite(measured)
         tip[i, :n] = np.nan_to_num(measured)
+        for name, ramps in over.items():
+            at = r.times[0] + c.dt * np.arange(steps + 1) if name == "inputs" else r.times[k]
+            ramps[i, : len(at), : c.windows.get(name, 0)] = drift.ramps(at, c, name)
     hanging = np.array([_hangs(scene, r) for r in recordings])
     tensions, pressures = (
         _inputs([getattr(r, name) for r in recordings], recordings, clocks, steps)
@@ -210,6 +222,7 @@ def make_batch(
         weights=jnp.array(used, dtype=float),
         hanging=jnp.array(hanging),
         free_frame=jnp.array([not r.origin_known for r in recordings]),
+        ramps={name: jnp.array(x) for name, x in over.items()},
         conditions=conditions,
         steps=steps,
         any_hanging=bool(np.any(hanging)),

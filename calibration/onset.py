@@ -40,7 +40,7 @@ def last_rest_sample(tip: np.ndarray) -> int | None:
 
     None if it never does. Samples before the index are at rest, up to noise.
     """
-    noise = _noise(tip[:_FEW])
+    noise = white_noise(tip[:_FEW])
     moved = np.linalg.norm(tip - np.median(tip[:5], axis=0), axis=1)
     clear = moved > max(_CLEAR_SIGMAS * noise, _CLEAR_PART * np.max(moved))
     # Two in a row: one sample alone is an outlier.
@@ -58,7 +58,7 @@ def last_rest_sample(tip: np.ndarray) -> int | None:
     return start + int(np.flatnonzero(moved <= quiet)[-1])
 
 
-def _noise(tip: np.ndarray) -> float:
+def white_noise(tip: np.ndarray) -> float:
     """Standard deviation of one coordinate's noise [m], whatever slow movement there is.
 
     From second differences, which a smooth movement hardly has and whose standard deviation is

@@ -22,6 +22,7 @@ _STOP_WINDOW, _STOP_CHANGE = 25, 1e-4
 # hundredth of a standard error or so for a few hundred samples.
 _PROMISE = 1e-6
 _LARGEST_DELAY_STEP = 3.0  # sample intervals
+_LARGEST_DRIFT_STEP = 1.0  # standard deviations of a window
 _FIRST_DAMPING, _LARGEST_DAMPING, _GROWTH = 1e-2, 1e10, 4.0
 # It has stalled if so many evaluations gained less than this part of a loss that is still bad.
 _PATIENCE, _LEAST_GAIN = 8, 0.1
@@ -129,7 +130,8 @@ def levenberg_marquardt(
     bad = (_UNEXPLAINED * problem.motion_rms) ** 2 * problem.samples
     for k in range(1, max_iterations + 1):
         J, r = point.jacobian, point.residuals
-        JJ, gradient = J.T @ J, J.T @ r
+        JJ = J.T @ J + np.diag(problem.prior)
+        gradient = J.T @ r + problem.prior * point.x
         # At a bound and pushed against it: held there.
         free = ~((point.x <= low) & (gradient > 0)) & ~((point.x >= high) & (gradient < 0))
         free[list(held)] = False
@@ -170,8 +172,9 @@ def _stepped(problem: Problem, x, step):
     for i, u in enumerate(problem.unknowns.items):
         step[i], moved = u.parameter.scale.limited(step[i])
         x[i] += moved
-    n = problem.size
-    step[n:] = np.clip(step[n:], -_LARGEST_DELAY_STEP, _LARGEST_DELAY_STEP)
+    n, end = problem.delays.start, problem.delays.stop
+    step[n:end] = np.clip(step[n:end], -_LARGEST_DELAY_STEP, _LARGEST_DELAY_STEP)
+    step[end:] = np.clip(step[end:], -_LARGEST_DRIFT_STEP, _LARGEST_DRIFT_STEP)
     x[n:] += step[n:]
     return step, x
 

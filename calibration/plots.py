@@ -34,6 +34,10 @@ def write_plots(fit: Fit, directory: Path) -> dict[str, Path]:
             paths[f"{title}: motion"] = _save(
                 motion_figure(recording), directory / f"motion_{stem}.png"
             )
+        if recording.drift:
+            paths[f"{title}: drift"] = _save(
+                drift_figure(recording), directory / f"drift_{stem}.png"
+            )
     for label in fit.profiles:
         stem = re.sub(r"[^A-Za-z0-9._-]+", "_", label)
         paths[f"Profile of {label}"] = _save(
@@ -123,6 +127,27 @@ def residual_figure(recording: RecordingFit) -> Figure:
     in_frequency.set_xlabel("frequency [Hz]")
     in_frequency.set_ylabel("amplitude [mm]")
     in_frequency.legend(fontsize=8)
+    return figure
+
+
+_DRIFTS = {  # by channel: unit, what one is in it, the names of its numbers
+    "clock": ("ms", 1e3, ("clock, gained",)),
+    "tip": ("mm", 1e3, ("tip x", "tip y", "tip z")),
+    "inputs": ("%", 1e2, ("inputs",)),
+}
+
+
+def drift_figure(recording: RecordingFit) -> Figure:
+    """What drifted, in time."""
+    figure = Figure(figsize=(9, 2.8), layout="constrained")
+    axes = figure.subplots(1, len(recording.drift), squeeze=False)[0]
+    for axis, (channel, drift) in zip(axes, recording.drift.items(), strict=True):
+        unit, one, names = _DRIFTS[channel]
+        for name, values in zip(names, drift.values.T, strict=True):
+            axis.plot(drift.edges, one * values, ".-", label=name)
+        axis.set_ylabel(f"drift [{unit}]")
+        axis.set_xlabel("time on the recording's clock [s]")
+        axis.legend(fontsize=8)
     return figure
 
 

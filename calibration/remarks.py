@@ -37,6 +37,7 @@ def remarks(fit: Fit) -> list[str]:
         *_explained(fit),
         *_outliers(fit),
         *_frames(fit),
+        *_drifts(fit),
         *_beside_the_scene(fit),
     ]
 
@@ -200,6 +201,23 @@ def _frames(fit):
                 f"({a:.1f}, {b:.1f}, {c:.1f}) degrees about x, y, z, were fitted along with the "
                 "parameters."
             )
+
+
+def _drifts(fit):
+    for r in fit.recordings:
+        said = []
+        for name, drift in r.drift.items():
+            most = drift.values[np.argmax(np.linalg.norm(drift.values, axis=1))]
+            if name == "clock":
+                verb = "gained" if most[0] > 0 else "lost"
+                said.append(f"its clock {verb} {1e3 * abs(most[0]):.3g} ms against the inputs'")
+            elif name == "tip":
+                x, y, z = 1e3 * most
+                said.append(f"the tip was seen up to ({x:.2f}, {y:.2f}, {z:.2f}) mm aside")
+            else:
+                said.append(f"what arrives of the inputs changed by up to {most[0]:+.1%}")
+        if said:
+            yield f"{r.name} drifted: {'; '.join(said)}. Look for the cause."
 
 
 def _beside_the_scene(fit):

@@ -57,7 +57,8 @@ def as_json(fit: Fit) -> dict:
     "parameters", by name: value, ci95 = [low, high] (null on a side without a bound), initial,
     unit, identifiable, verdict, recording (null: all), step_shift and grid_shift (change with half
     the time step and twice the grid, in half widths of the interval). "rmse_m" and "time_offset_s",
-    by recording, "held_out_rmse_m"; and how the fit was made.
+    by recording, "held_out_rmse_m"; "drift", by recording and channel (`calibration.drift`), at the
+    edges of the windows; and how the fit was made.
     """
     return {
         "result": fit.result,
@@ -82,6 +83,14 @@ def as_json(fit: Fit) -> dict:
         "window_s": {r.name: [r.selection.start, r.selection.end] for r in fit.recordings},
         "time_offset_s": fit.time_offset_s,
         "time_offset_ci95_s": {r.name: _plain(r.time_offset_ci95) for r in fit.recordings},
+        "drift": {
+            r.name: {
+                name: {"edges_s": _plain(d.edges), "values": _plain(d.values)}
+                for name, d in r.drift.items()
+            }
+            for r in fit.recordings
+            if r.drift
+        },
         "tip_offset_m": {r.name: _plain(r.tip_offset) for r in fit.recordings},
         "frame_rotation_rad": {r.name: _plain(r.frame_rotation) for r in fit.recordings},
         "conditions": {r.name: dict(r.recording.conditions) for r in fit.recordings},

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 import softrod_jax as sr
+from calibration.drift import Drift
 from calibration.explain import Explanation
 from calibration.recording import Recording
 from calibration.selection import Selection
@@ -54,6 +55,7 @@ class RecordingFit:
     - `time_offset` [s]: for a recording with inputs, how much later than its inputs the tip's
       clock says they began; for a release, when it happened on the recording's clock.
     - `time_offset_ci95` [s], None if it was not fitted.
+    - `drift`: a `calibration.drift.Drift` of each channel that was allowed to, by name.
     - `tip_offset` [m] and `frame_rotation` [rad], (3,) each: how the recording's frame was moved
       to fit (`calibration.alignment`); None if the recording knows where the clamp is.
     - `shapes` [m], (rows, outputs, 3) at `shape_times` [s, from the start]: the rod's motion.
@@ -72,6 +74,7 @@ class RecordingFit:
     rmse_axes: np.ndarray
     time_offset: float
     time_offset_ci95: tuple[float, float] | None
+    drift: dict[str, Drift]
     tip_offset: np.ndarray | None
     frame_rotation: np.ndarray | None
     shape_times: np.ndarray

@@ -104,16 +104,17 @@ def in_time(point: Point) -> tuple[float, np.ndarray]:
         return point.loss, x
     low, high = (np.array([getattr(c, k) for c in problem.clocks]) for k in ("low", "high"))
     delays = np.linspace(low, high, _DELAYS, axis=1)
+    courses, motion = problem.courses(x), point.evaluation.motion
     losses = np.asarray(
-        losses_by_delay(point.evaluation.motion, problem.batch, delays, problem.scene.length)
+        losses_by_delay(motion, problem.batch, courses, delays, problem.scene.length)
     )
     best = np.argmin(losses, axis=1)
     rows = np.arange(len(best))
     loss = float(np.sum(losses[rows, best]))
-    if loss >= point.loss:
+    if loss >= point.misfit:
         return point.loss, x
-    x[problem.size :] = delays[rows, best] / [c.interval for c in problem.clocks]
-    return loss, x
+    x[problem.delays] = delays[rows, best] / [c.interval for c in problem.clocks]
+    return loss + point.loss - point.misfit, x
 
 
 def _largest_damping(problem: Problem, x, frequency: float) -> float:

@@ -32,7 +32,7 @@ NOT_IDENTIFIABLE = "not identifiable"
 
 @dataclass(frozen=True)
 class Uncertainty:
-    """In terms of x = (theta of the parameters, delays in sample intervals), (unknowns,).
+    """In terms of x = (theta of the parameters, delays in sample intervals, drifts), (unknowns,).
 
     - `standard_errors`, (unknowns,); `correlation`, (unknowns, unknowns).
     - `low`, `high`: ends of the 95 % intervals, (unknowns,); -inf and inf on an open side.
@@ -66,7 +66,8 @@ def estimate(best: Point, report: Report) -> Uncertainty:
     # Keeps directions that the data say nothing of from taking infinite variance to the others:
     # beforehand theta is 0 within the largest theta, as a 95 % interval.
     width = [u.parameter.scale.largest / 2 for u in items]
-    width += [_PRIOR_DELAY] * (n - len(items))
+    width += [_PRIOR_DELAY] * (best.problem.delays.stop - len(items))
+    width += [1.0] * (n - len(width))
     prior = noise.variance * np.diag(np.array(width) ** -2.0)
     information = best.jacobian.T @ best.jacobian + prior
     inverse = np.linalg.inv(information)
@@ -133,7 +134,7 @@ def _bound(best: Point, i: int, side: float, valley, error, allowed, prior, repo
                 others = np.delete(np.arange(best.x.size), i)
                 J, r = point.jacobian[:, others], point.residuals
                 step = -np.linalg.solve(J.T @ J + prior[np.ix_(others, others)], J.T @ r)
-                least = min(least, max(np.sum((r + J @ step) ** 2) - best.loss, 0.0))
+                least = min(least, max(np.sum((r + J @ step) ** 2) - best.misfit, 0.0))
             if least <= allowed:
                 break
         return least

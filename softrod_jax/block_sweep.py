@@ -5,14 +5,16 @@ interval k
 
     left_k (da, db)_k + right_k (da, db)_{k+1} = -defect_k
 
-with da_0 = 0 and db_n = tip_slope da_n + tip_rhs. First every interval is solved, all at once,
-for what leaves it (a outwards, b inwards) in terms of what enters it:
+with da_0 = 0 and db_n = tip_slope da_n + tip_rhs. From the tip to the base, `db_{k+1} = S_{k+1}
+da_{k+1} + g_{k+1}` is put into the equations of interval k, and they are solved for what leaves
+it (a outwards, b inwards) in terms of what enters it:
 
-    da_{k+1} = T11 da_k + T12 db_{k+1} + t1        db_k = T21 da_k + T22 db_{k+1} + t2
+    (db_k, da_{k+1}) = -K_k (left_a da_k + right_b g_{k+1} + defect_k),
+    K_k = [left_b, right_a + right_b S_{k+1}]^-1
 
-Then `db = S da + g` is swept from the tip to the base (S is the mechanical impedance of the
-outboard rod: the discrete Riccati equation), and the answer from the base to the tip.
-Unlike products of transfer matrices, no step of this grows with exp(lambda L).
+which gives S_k and g_k. S is the mechanical impedance of the outboard rod, and its recursion the
+discrete Riccati equation. The answer follows from the base to the tip. Unlike products of
+transfer matrices, no step of this grows with exp(lambda L).
 """
 
 from typing import NamedTuple
@@ -25,33 +27,28 @@ from jaxtyping import Array, Float
 class Factors(NamedTuple):
     """What the sweeps need, for any right-hand side. `S` is the impedance seen at node k + 1."""
 
-    inverse: Float[Array, "m n n"]  # of [right_a, left_b]
-    T11: Float[Array, "m a a"]
-    T12: Float[Array, "m a b"]
+    K: Float[Array, "m n n"]
+    right: Float[Array, "m n n"]
     S: Float[Array, "m b a"]
-    W: Float[Array, "m b b"]  # (I - S T12)^-1
-    inwards: Float[Array, "m b b"]  # T22 W: g_k by g_{k+1}
-    V: Float[Array, "m b a"]  # W S T11: db_{k+1} by da_k
-    outwards: Float[Array, "m a a"]  # T11 + T12 V: da_{k+1} by da_k
+    inwards: Float[Array, "m b b"]  # g_k by g_{k+1}
+    shift: Float[Array, "m a b"]  # da_{k+1} by g_{k+1}
+    outwards: Float[Array, "m a a"]  # da_{k+1} by da_k
 
 
 def factorise(
     left: Float[Array, "m n n"], right: Float[Array, "m n n"], tip_slope: Float[Array, "b a"]
 ) -> Factors:
-    """Prepare the sweeps. `tip_slope`: (b, a)."""
+    """Prepare the sweeps."""
     b, a = tip_slope.shape
-    inverse = _inverse(jnp.concatenate([right[..., :a], left[..., a:]], -1))
-    T = -inverse @ jnp.concatenate([left[..., :a], right[..., a:]], -1)
-    T11, T12, T21, T22 = T[:, :a, :a], T[:, :a, a:], T[:, a:, :a], T[:, a:, a:]
 
-    def inwards(S, T):
-        T11, T12, T21, T22 = T
-        W = _inverse(jnp.eye(b) - S @ T12)
-        V = W @ (S @ T11)
-        return T21 + T22 @ V, (S, W, V)
+    def inwards(S, interval):
+        left, right = interval
+        K = _inverse(jnp.concatenate([left[:, a:], right[:, :a] + right[:, a:] @ S], -1))
+        out = -K @ jnp.concatenate([left[:, :a], right[:, a:]], -1)
+        return out[:b, :a], (S, K, out)
 
-    _, (S, W, V) = jax.lax.scan(inwards, tip_slope, (T11, T12, T21, T22), reverse=True)
-    return Factors(inverse, T11, T12, S, W, T22 @ W, V, T11 + T12 @ V)
+    _, (S, K, out) = jax.lax.scan(inwards, tip_slope, (left, right), reverse=True)
+    return Factors(K, right, S, out[:, :b, a:], out[:, b:, a:], out[:, b:, :a])
 
 
 def _inverse(A: Float[Array, "*batch n n"]):
@@ -68,18 +65,20 @@ def has_no_conjugate_point(factors: Factors):
     """Whether a static equilibrium under dead loads is stable.
 
     It is if and only if the second variation has no conjugate point: swept from the free tip,
-    no disturbance of the attitude vanishes before the clamp (Jacobi's condition). Disturbances
-    of two nodes are related by (I - T12 S)^-1 T11; one vanishes in between where I - T12 S has
-    a negative eigenvalue. Its eigenvalues are real (it is similar to a symmetric matrix), so
-    all are positive if and only if all their elementary symmetric polynomials are. The sign of
-    the determinant alone would miss a column that buckles in two planes at once.
+    no disturbance of the attitude vanishes before the clamp (Jacobi's condition). With T_12 the
+    da_{k+1} by db_{k+1} of one interval, disturbances of two nodes are related by
+    G = (I - T_12 S)^-1; one vanishes in between where G has a negative eigenvalue. Its
+    eigenvalues are real (it is similar to a symmetric matrix), so all are positive if and only
+    if all their elementary symmetric polynomials are. The sign of the determinant alone would
+    miss a column that buckles in two planes at once.
     """
-    if factors.T11.shape[-1] == 0:
+    b, a = factors.S.shape[1:]
+    if a == 0:
         return jnp.array(True)  # nothing depends on the attitude
-    G = jnp.eye(factors.T11.shape[-1]) - factors.T12 @ factors.S
+    G = factors.K[:, b:] @ factors.right[:, :, :a]
     # Newton's identities: from the traces of powers to the elementary polynomials.
     power, traces, e = G, [], [1.0]
-    for k in range(1, G.shape[-1] + 1):
+    for k in range(1, a + 1):
         traces.append(jnp.trace(power, axis1=-2, axis2=-1))
         e.append(sum((-1) ** i * e[k - 1 - i] * traces[i] for i in range(k)) / k)
         power = power @ G
@@ -90,25 +89,21 @@ def solve_sweeps(
     factors: Factors, defect: Float[Array, "m n"], tip_rhs: Float[Array, "b"]
 ) -> Float[Array, "nodes n"]:
     """(da, db) at every node; linear in (defect, tip_rhs)."""
-    a = factors.T11.shape[-1]
-    t = -apply_each(factors.inverse, defect)
-    t1, t2 = t[:, :a], t[:, a:]
+    b, a = factors.S.shape[1:]
+    t = -apply_each(factors.K, defect)
 
     # One small product a node in turn; all else for all nodes at once.
     def sweep(x, k):
         matrix, rhs = k
         return matrix @ x + rhs, x
 
-    loads = t2 + apply_each(factors.inwards, apply_each(factors.S, t1))
-    g0, g = jax.lax.scan(sweep, tip_rhs, (factors.inwards, loads), reverse=True)
-    V0 = apply_each(factors.W, apply_each(factors.S, t1) + g)
-    shifts = t1 + apply_each(factors.T12, V0)
+    g0, g = jax.lax.scan(sweep, tip_rhs, (factors.inwards, t[:, :b]), reverse=True)
+    shifts = t[:, b:] + apply_each(factors.shift, g)
     base = jnp.zeros(a, defect.dtype)
     da_n, da = jax.lax.scan(sweep, base, (factors.outwards, shifts))
-    db = apply_each(factors.V, da) + V0
-    return jnp.concatenate(
-        [jnp.concatenate([da, da_n[None]]), jnp.concatenate([g0[None], db])], -1
-    )
+    da = jnp.concatenate([da, da_n[None]])
+    db = apply_each(factors.S, da[1:]) + g
+    return jnp.concatenate([da, jnp.concatenate([g0[None], db])], -1)
 
 
 def apply_each(

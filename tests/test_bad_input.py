@@ -101,6 +101,10 @@ CASES = [
      ["a.csv", "5 to 6 s", "0.11"]),
     ("a release cut into windows", {"a.csv": TABLE, "m.toml": MAP},
      [*RUN, "--mapping", "m.toml", "--split", "1", "0.1"], ["a.csv", "release"]),
+    ("a drift of nothing known", {"a.csv": LOG}, [*RUN, "--drift", "weather=1"],
+     ["'weather'", "clock, tip, inputs"]),
+    ("a drift without a duration", {"a.csv": LOG}, [*RUN, "--drift", "tip"],
+     ["--drift tip", "WHAT=DURATION"]),
     ("a held-out log that is absent", {"a.csv": LOG}, [*RUN, "--held-out", "b.csv"],
      ["b.csv", "No such file"]),
 ]  # fmt: skip

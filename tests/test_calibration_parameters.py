@@ -133,7 +133,7 @@ def test_sensitivities_are_finite_differences(inputs):
                     fit.setup,
                     fit.batch,
                     jnp.asarray(fit.unknowns.theta(x + sign * step)),
-                    jnp.zeros(1),
+                    fit.courses(fit.start()),
                     names,
                     fit.scheme,
                     fit.method,

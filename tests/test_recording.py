@@ -292,6 +292,15 @@ def test_c3d_refuses_other_files(tmp_path):
         load_recording(path)
 
 
+def test_c3d_that_crashes_its_reader(tmp_path):
+    path = write_c3d(tmp_path / "a.c3d", captured(), LABELS)
+    content = bytearray(path.read_bytes())
+    content[content.index(b"FRAMES") + 9] = 250  # how many dimensions the parameter has
+    path.write_bytes(content)
+    with pytest.raises(RecordingError, match="a.c3d: ezc3d crashes on it.*corrupted"):
+        load_recording(path, beam())
+
+
 def test_c3d_says_that_a_file_was_cut_short(tmp_path):
     path = write_c3d(tmp_path / "a.c3d", captured(), LABELS)
     path.write_bytes(path.read_bytes()[:-2000])

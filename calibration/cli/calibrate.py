@@ -112,6 +112,13 @@ def add_arguments(parser) -> None:
         metavar=("DURATION", "LEAD"),
         help="cut logs with inputs into windows [s], each with a lead to forget its beginning",
     )
+    data.add_argument(
+        "--drift",
+        metavar="WHAT=DURATION",
+        nargs="+",
+        help="what may drift in long logs with inputs, of clock, tip and inputs, and the duration "
+        "of the windows [s] in each of which it changes linearly, such as tip=2 inputs=5",
+    )
     c3d = parser.add_argument_group("C3D files without a mapping")
     c3d.add_argument(
         "--tip-markers", metavar="LABEL,..", help="how the tip markers' labels begin (tip)"
@@ -137,6 +144,7 @@ def run(args) -> int:
     if out.exists() and not out.is_dir():
         raise UsageError(f"--out {out}: is a file; give a directory")
     bounds = dict(_bound(text) for text in args.bounds or ())
+    drift = dict(_drift(text) for text in args.drift or ())
     prepare_jax()
     import softrod_jax as sr
 
@@ -177,6 +185,7 @@ def run(args) -> int:
         checks=not args.no_checks,
         explain=args.explain,
         material=args.material,
+        drift=drift,
         checkpoint=out / "checkpoint.json",
         resume=args.resume,
         progress=True,
@@ -204,6 +213,14 @@ def _bound(text: str) -> tuple[str, tuple[float, float]]:
             f"--bounds {text}: expected NAME=LOW:HIGH, such as young_modulus=1e5:1e6"
         ) from None
     return name.strip(), (low, high)
+
+
+def _drift(text: str) -> tuple[str, float]:
+    name, _, duration = text.partition("=")
+    try:
+        return name.strip(), float(duration)
+    except ValueError:
+        raise UsageError(f"--drift {text}: expected WHAT=DURATION, such as clock=5 [s]") from None
 
 
 def _recordings(args, paths, scene):
