@@ -86,7 +86,8 @@ def simulate(
     - `throw`: raise `SolveError` if a step fails; else see `Trajectory.result`.
 
     Works under `jit`, `vmap`, `grad` and `jacfwd`. Raises `ValueError` for inputs of the wrong
-    shape, negative tensions, a step dt <= 0, and without float64.
+    shape, negative tensions, a step dt <= 0, what contradicts `Scene.inextensible` or
+    `Scene.plane`, and without float64.
     """
     require_float64("simulate")
     scene = as_arrays(scene)

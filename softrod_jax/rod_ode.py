@@ -221,29 +221,29 @@ def _partial_derivatives(y, strain, rod, layout, history):
     vector, turn = layout.vector, layout.turn
     zero = functools.cache(lambda i, j: jnp.zeros((*y.shape[:-1], i, j)))
     eye = functools.cache(lambda n: jnp.broadcast_to(jnp.eye(n), (*y.shape[:-1], n, n)))
-    # What each vector's hat acts on: a vector (_v), or a turn (_t). In space they are the same.
-    (u_v, u_t), (v_v, v_t), (N_v, N_t), (_, M_t) = hats(u), hats(v), hats(N), hats(M)
+    # Hats that act on vectors like v (_v), and on turns like u (_u). In space they are the same.
+    (u_v, u_u), (v_v, v_u), (N_v, N_u), (_, M_u) = hats(u), hats(v), hats(N), hats(M)
 
     # Rows N and M; columns (h), (q, omega), N, M and then v, u.
-    N_row, M_row = [-u_v, zero(vector, turn)], [-v_v, -u_t]
-    N_strain, M_strain = [zero(vector, vector), N_t], [N_v, M_t]
+    N_row, M_row = [-u_v, zero(vector, turn)], [-v_v, -u_u]
+    N_strain, M_strain = [zero(vector, vector), N_u], [N_v, M_u]
     rows, strains = [], []
     if layout.dynamic:
-        c0, (_, q_t), (w_v, w_t) = history.c0, hats(q), hats(w)
+        c0, (_, q_u), (w_v, w_u) = history.c0, hats(q), hats(w)
         drive = c0 * eye(vector) + w_v
-        drive_t = drive if vector == turn else c0 * eye(turn) + w_t
+        drive_u = drive if vector == turn else c0 * eye(turn) + w_u
         N_q = rod.rho_A * drive
         if rod.C is not None:
             N_q = N_q + 2 * (rod.C * jnp.abs(q))[..., None] * eye(vector)
         # w_hat J: scale columns by J. J-weighted omega: (J omega)^.
-        M_w = w_t * rod.rho_J - hats(rod.rho_J * w)[1] + c0 * rod.rho_J * eye(turn)
-        N_row = [N_q, -rod.rho_A * q_t] + N_row
+        M_w = w_u * rod.rho_J - hats(rod.rho_J * w)[1] + c0 * rod.rho_J * eye(turn)
+        N_row = [N_q, -rod.rho_A * q_u] + N_row
         M_row = [zero(turn, vector), M_w] + M_row
         rows = [
-            [-u_v, -v_t, zero(vector, vector), zero(vector, turn)],
-            [zero(turn, vector), -u_t, zero(turn, vector), zero(turn, turn)],
+            [-u_v, -v_u, zero(vector, vector), zero(vector, turn)],
+            [zero(turn, vector), -u_u, zero(turn, vector), zero(turn, turn)],
         ]
-        strains = [[drive, q_t], [zero(turn, vector), drive_t]]
+        strains = [[drive, q_u], [zero(turn, vector), drive_u]]
     rows, strains = rows + [N_row, M_row], strains + [N_strain, M_strain]
     f_y = _blocks(rows)
     # The columns of v, if it is unknown, and of u.

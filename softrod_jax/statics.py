@@ -47,7 +47,8 @@ class StaticSolution(eqx.Module):
     - `result`: a code of `RESULTS`; 0 is success. Else the numbers are the last iterate.
     - `stats`: "iterations", "residual" (Newton's last correction, relative to the size of the
       state), "load_steps" (1: reached at once; more: by continuation in the load), "stable"
-      (false: a disturbance, however small, takes the rod to another equilibrium), "error" (of
+      (false: a disturbance, however small, takes the rod to another equilibrium; of a scene with
+      a plane, one in that plane), "error" (of
       the discretisation along the rod, estimated, in lengths of the rod; NaN: no estimate),
       "transient_steps" (of the damped motion; 0: it was not needed).
     """
@@ -90,7 +91,8 @@ def solve_static(
     Under `jit`, `vmap` and `grad` the damped motion is not tried: such a sample has a code.
 
     Works under `jit`, `vmap`, `grad` and `jacfwd`. Raises `ValueError` for inputs of the wrong
-    shape, negative tensions, and without float64.
+    shape, negative tensions, what contradicts `Scene.inextensible` or `Scene.plane`, and without
+    float64.
     """
     require_float64("solve_static")
     scene = as_arrays(scene)
