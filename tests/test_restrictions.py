@@ -17,7 +17,12 @@ from softrod_jax.rod_ode import History, Layout, layout_of, rod_ode, rod_ode_jac
 from softrod_jax.scene import as_arrays
 
 TENSIONS, PRESSURES = jnp.array([0.1, 0.05]), jnp.array([1e4])
-COMBINATIONS = [(None, True), ("xz", False), ("yz", False), ("xz", True), ("yz", True)]
+# The plane y-z differs in what is made of the scene and not in the equations.
+COMBINATIONS = [(None, True), ("xz", False), ("xz", True)]
+
+
+# About z by a quarter: x becomes y.
+TO_YZ = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
 
 
 def with_(scene, **changes):
@@ -29,9 +34,7 @@ def scene_in(axes, scale=1.0, **changes):
 
     The area is `scale` times that of a circle, at the same mass per length: a stiff rod.
     """
-    # About z by a quarter: x becomes y.
-    turned = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
-    R = turned if axes == "yz" else np.eye(3)
+    R = TO_YZ if axes == "yz" else np.eye(3)
     parts = dict(
         length=0.1,
         section=sr.GeneralSection(1.131e-4 * scale, 1.018e-9 * np.ones(2), 2.036e-9),
@@ -109,8 +112,10 @@ def test_jacobian_is_the_derivative(plane, no_stretch, moving):
     rod, layout, y, history = rods[1], layouts[1], states[1], histories[1]
     guess = inner_strain(jnp.array([0.0, 0, 1, 0, 0, 0]), rod)
     rates = jax.jit(lambda y: rod_ode(0.0, y, rod, layout, history, guess))
-    written = rod_ode_jacobian(0.0, y, rates(y).strain, rod, layout, history).state
-    derived = jax.jacfwd(lambda y: rates(y).y_s)(y)
+    written = jax.jit(
+        lambda y: rod_ode_jacobian(0.0, y, rates(y).strain, rod, layout, history).state
+    )(y)
+    derived = jax.jit(jax.jacfwd(lambda y: rates(y).y_s))(y)
     size = np.abs(derived).max(axis=1, keepdims=True)
     np.testing.assert_allclose(written / size, derived / size, atol=1e-12)
 
@@ -183,59 +188,55 @@ def test_equilibria_in_a_plane_are_those_in_space():
         scale = np.abs(other).max(axis=0).max()
         np.testing.assert_allclose(one, other, rtol=0, atol=1e-8 * scale, err_msg=name)
     np.testing.assert_allclose(ours.positions, full.positions, rtol=0, atol=1e-9)
-    turned = rest(scene_in("yz", plane="yz"))
-    x, y, z = np.array(ours.positions).T
-    np.testing.assert_allclose(turned.positions, np.stack([-y, x, z], 1), rtol=0, atol=1e-12)
 
 
 def test_inextensible_equilibria_are_the_limit_of_stiff_rods():
     straight = np.array([0.0, 0.0, 1.0])
     stiff = [scene_in("xz", scale, rest_stretch=straight) for scale in (1e3, 1e5)]
     less, more = map(rest, stiff)
-    rigid = inextensible(stiff[1])
-    ours, plane = rest(rigid), rest(with_(rigid, plane="xz"))
+    ours = rest(inextensible(stiff[1]))
     far, near = (np.abs(x.positions - ours.positions).max() for x in (less, more))
     assert near < 1e-6 * 0.1
     np.testing.assert_allclose(far / near, 100, rtol=0.02)
-    np.testing.assert_allclose(plane.positions, ours.positions, rtol=0, atol=1e-9)
     np.testing.assert_array_equal(ours.strains[:, :3], np.tile(straight, (33, 1)))
     # The constraint's force, held by no strain.
     np.testing.assert_allclose(ours.wrenches, more.wrenches, rtol=0, atol=1e-6)
 
 
-@pytest.mark.parametrize("plane", [None, "xz"])
+@pytest.mark.parametrize("plane", [None, "yz"])
 def test_closed_forms_of_inextensible_rods(plane):
-    def tip(force, moment):
-        load = sr.TipLoad(jnp.array(force), jnp.array(moment))
+    R = TO_YZ if plane == "yz" else np.eye(3)
+
+    def bend(force, moment):
+        load = sr.TipLoad(R @ force, R @ moment)
         # The area has no say.
         scene = beam(area=1.0, tip_load=load, inextensible=True, plane=plane)
-        return sr.solve_static(scene)
+        solution = sr.solve_static(scene)
+        return solution.tip_position @ R, solution.stats
 
-    circle = tip([0.0, 0.0, 0.0], [0.0, 2 * np.pi, 0.0])
-    np.testing.assert_allclose(circle.tip_position, 0, atol=1e-12)
+    nothing = np.zeros(3)
+    circle, _ = bend(nothing, np.array([0.0, 2 * np.pi, 0.0]))
+    np.testing.assert_allclose(circle, 0, atol=1e-12)
     for problem in (
         elastica(1.0, 0.3017207738, 0.0564332363),
         elastica(10.0, 0.8106090249, 0.5549955978),
     ):
-        bent = tip(problem.scene.tip_load.force, [0.0, 0.0, 0.0])
-        np.testing.assert_allclose(bent.tip_position, problem.tip, atol=problem.tolerance)
+        tip, _ = bend(np.array(problem.scene.tip_load.force), nothing)
+        np.testing.assert_allclose(tip, problem.tip, atol=problem.tolerance)
     euler = np.pi**2 / 4
     for load in (0.99 * euler, 1.01 * euler):
-        column = tip([0.0, 0.0, -load], [0.0, 0.0, 0.0])
-        assert bool(column.stats["stable"]) == (load < euler)
+        _, stats = bend(np.array([0.0, 0.0, -load]), nothing)
+        assert bool(stats["stable"]) == (load < euler)
 
 
-def moving(scene, scheme, steps):
-    """The tip, and how far the whole rod went: its shapes."""
+def moving(scene, scheme, method, steps):
     inputs = jnp.tile(TENSIONS, (steps, 1)), jnp.tile(PRESSURES, (steps, 1))
-    motion = sr.simulate(
-        scene, 0.01, *inputs, scheme=scheme, method=sr.Collocation(12), throw=False
-    )
+    motion = sr.simulate(scene, 0.01, *inputs, scheme=scheme, method=method, throw=False)
     return motion.positions, motion.velocities, motion.result
 
 
 def test_motions_in_a_plane_are_those_in_space():
-    move = jax.jit(lambda scene: moving(scene, sr.SDIRK(), 8))
+    move = jax.jit(lambda scene: moving(scene, sr.SDIRK(), sr.Collocation(12), 8))
     full, ours = move(scene_in("xz")), move(scene_in("xz", plane="xz"))
     assert int(full[2]) == int(ours[2]) == 0
     assert abs(full[0][-1, -1, 0] - full[0][0, -1, 0]) > 0.01
@@ -245,7 +246,8 @@ def test_motions_in_a_plane_are_those_in_space():
 
 STIFF = scene_in("xz", 1e5, rest_stretch=np.array([0.0, 0.0, 1.0]), plane="xz")
 RIGID = inextensible(STIFF)
-swing = jax.jit(lambda scene: moving(scene, sr.BDFAlpha(), 6))
+# Of order 4: the same equations in less time to compile.
+swing = jax.jit(lambda scene: moving(scene, sr.BDFAlpha(), sr.Collocation(8, order=4), 6))
 
 
 def test_inextensible_motions_are_those_of_a_stiff_rod():
