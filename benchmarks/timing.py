@@ -4,9 +4,14 @@
 
 The robot of `softrod_jax.hybrid_robot` under transverse gravity, at default settings; with
 tendons, one of the three pulls with 0.1 N. Medians of interleaved repeats. Compilation is
-measured apart, with JAX's cache of compiled programs switched off.
+measured apart, with JAX's cache of compiled programs switched off. First calls are those of new
+processes, without a cache of compiled programs and with one; importing is not in them.
 """
 
+import os
+import subprocess
+import sys
+import tempfile
 import time
 
 import equinox as eqx
@@ -82,6 +87,43 @@ def milliseconds(seconds) -> str:
     return f"{1e3 * seconds:.2g}" if seconds < 0.1 else f"{1e3 * seconds:.0f}"
 
 
+FIRST = """
+import time, jax
+jax.config.update("jax_enable_x64", True)
+jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.2)
+import jax.numpy as jnp, softrod_jax as sr
+scene = sr.hybrid_robot(gravity=jnp.array([-9.81, 0.0, 0.0]))
+pull = jnp.array([0.1, 0.0, 0.0])
+pulls = jnp.tile(pull, (200, 1))
+begin = time.perf_counter()
+jax.block_until_ready({call}.tip_position{s})
+print(time.perf_counter() - begin)
+"""
+CALLS = {
+    "`solve_static`": dict(call="sr.solve_static(scene, pull)", s=""),
+    "`simulate`": dict(call="sr.simulate(scene, 5e-3, pulls)", s="s"),
+}
+
+
+def first_calls() -> list[list[str]]:
+    """Rows: what is called, its time [s] in a new process, and in one after it."""
+    rows = []
+    for name, call in CALLS.items():
+        with tempfile.TemporaryDirectory() as cache:
+            environment = {**os.environ, "JAX_COMPILATION_CACHE_DIR": cache}
+            run = lambda: float(
+                subprocess.run(
+                    [sys.executable, "-c", FIRST.format(**call)],
+                    env=environment,
+                    check=True,
+                    capture_output=True,
+                    text=True,
+                ).stdout
+            )
+            rows.append([name, *(f"{run():.1f}" for _ in range(2))])
+    return rows
+
+
 def main() -> None:
     measured = measure()
     rows = [
@@ -93,7 +135,8 @@ def main() -> None:
         for what in dict.fromkeys(what for what, _ in measured)
     ]
     header = ["", "no tendons [ms]", "tendons [ms]", "compile [s]", "compile, tendons [s]"]
-    publish("timing", f"{table(header, rows)}\n\n{machine()}.")
+    first = table(["first call, tendons", "[s]", "with a cache on disk [s]"], first_calls())
+    publish("timing", f"{table(header, rows)}\n\n{first}\n\n{machine()}.")
 
 
 if __name__ == "__main__":

@@ -5,6 +5,7 @@ one after the other: there the numbers of one rod stay in the cache, and no samp
 slower one. Devices do not wait for each other either, until results are gathered.
 """
 
+import functools
 import hashlib
 from collections.abc import Callable
 
@@ -12,6 +13,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
+
+from softrod_jax.compiling import compiled
 
 _SAMPLES = "samples"
 
@@ -61,11 +64,11 @@ def spread(function: Callable, devices=None, *, gather: bool = True) -> Callable
             return jax.lax.map(lambda sample: function(*sample), arguments)
         return jax.vmap(function)(*arguments)
 
-    on_all = jax.jit(
+    on_all = compiled(
         jax.shard_map(
             on_one_device, mesh=mesh, in_specs=rows.spec, out_specs=rows.spec, check_vma=False
         ),
-        out_shardings=everywhere if gathered else rows,
+        functools.partial(jax.jit, out_shardings=everywhere if gathered else rows),
     )
 
     def mapped(*arguments):
