@@ -6,7 +6,8 @@ A part that is absent from a scene is not in the program. Counted are the equati
 program (jaxpr) and the unknowns at each point along the rod; measured, the time to compile and
 that of a step (for statics: of a solve), the median of interleaved repeats. A motion without a
 part is another motion, which may need more or fewer evaluations of the rod equations a step:
-they are in the table, too. About 3 minutes.
+they are in the table, too. The whole scene is in the plane x-z, so that it may be solved there.
+About 4 minutes.
 """
 
 import dataclasses
@@ -20,7 +21,7 @@ from report import machine, publish, table
 
 import softrod_jax as sr
 from softrod_jax.rod import make_rod
-from softrod_jax.rod_ode import Layout
+from softrod_jax.rod_ode import layout_of
 from softrod_jax.scene import as_arrays
 from softrod_jax.statics import unloaded_guess
 
@@ -39,13 +40,22 @@ PARTS = {
 
 def full_scene():
     scene = sr.hybrid_robot(gravity=np.array([-9.81, 0.0, 0.0]))
-    return as_arrays(dataclasses.replace(scene, shear_damping=1e-3, payload=sr.Payload(1e-3)))
+    in_the_plane = sr.Tendons(np.array([[4e-3, 0.0], [-2e-3, 0.0], [-4e-3, 0.0]]))
+    parts = dict(tendons=in_the_plane, shear_damping=1e-3, payload=sr.Payload(1e-3))
+    return as_arrays(dataclasses.replace(scene, **parts))
 
 
 def without(*parts):
     """The full scene without these `PARTS`."""
     absent = {field: None for part in parts for field in PARTS[part]}
     return dataclasses.replace(full_scene(), **absent)
+
+
+def restricted(**restrictions):
+    """The full scene, but for a damping that an inextensible one cannot have."""
+    if restrictions.get("inextensible"):
+        restrictions["shear_damping"] = None
+    return dataclasses.replace(full_scene(), **restrictions)
 
 
 def actuation(scene):
@@ -71,12 +81,19 @@ def equilibrium(scene, tensions, pressures):
 
 def programs():
     """{row: (function, scene)}"""
+    stiff, flat = {"inextensible": True}, {"plane": "xz"}
+    restrictions = {"inextensible": stiff, "planar": flat, "planar, inextensible": stiff | flat}
     return {
         "everything": (motion, without()),
         **{f"no {part}": (motion, without(part)) for part in PARTS},
         # Without gravity, too, nothing would move.
         "gravity only": (motion, without(*set(PARTS) - {"gravity"})),
+        **{name: (motion, restricted(**values)) for name, values in restrictions.items()},
         "everything, static": (equilibrium, without()),
+        **{
+            f"{name}, static": (equilibrium, restricted(**values))
+            for name, values in restrictions.items()
+        },
         "tendons only, static": (equilibrium, without(*set(PARTS) - {"tendons"})),
     }
 
@@ -100,7 +117,7 @@ def count_unknowns(function, scene) -> int:
     """At each point along the rod."""
     dynamic, method = function is motion, sr.Collocation()
     rod = make_rod(scene, *actuation(scene), dynamic=dynamic)
-    layout = Layout(attitude=rod.has_dead_load, dynamic=dynamic)
+    layout = layout_of(rod, dynamic=dynamic)
     return method.unknowns(unloaded_guess(method, layout, rod), rod).shape[1]
 
 

@@ -18,7 +18,7 @@ from softrod_jax.method import Fields, Guess, Method
 from softrod_jax.newton import Borrowed, NewtonOptions, newton
 from softrod_jax.results import RESULTS
 from softrod_jax.rod import Rod
-from softrod_jax.rod_ode import History, Layout, tip_condition
+from softrod_jax.rod_ode import History, Layout, sizes, tip_condition
 
 # Where a solve fails with less than this of a tendon's path left, the tendon is why.
 _VANISHING_PATH = 0.02
@@ -76,8 +76,8 @@ class Equations(NamedTuple):
     def base(self):
         """(h, q, omega) at the clamp (paper eq. 13)."""
         h = self.rod.h_base if self.layout.attitude else None
-        q = w = jnp.zeros(3) if self.layout.dynamic else None
-        parts = [x for x in (h, q, w) if x is not None]
+        still = jnp.zeros(self.layout.pair) if self.layout.dynamic else None
+        parts = [x for x in (h, still) if x is not None]
         return jnp.concatenate(parts) if parts else jnp.zeros(0)
 
     def start(self, guess: Guess):
@@ -88,7 +88,7 @@ class Equations(NamedTuple):
     def residual(self, U):
         """What is zero at the solution: along the rod, and at the tip as db = S da + g there."""
         Y = self.method.states(U, self.layout)
-        tip = self._tip(Y).wrench - Y[-1, -6:]
+        tip = self._tip(Y).wrench - Y[-1, self.layout.base_size :]
         return self.method.residual(U, *self._problem), tip
 
     def factorise(self, U, safe=None):
@@ -111,29 +111,19 @@ class Equations(NamedTuple):
         """The correction -J^-1 F of the unknowns."""
         (sweeps, units, inner), (residual, tip) = factors, F
         defect, condensed = self.method.condense(inner, residual)
-        dY = solve_sweeps(sweeps, defect / units, tip / units[-6:]) * units
+        dY = solve_sweeps(sweeps, defect / units, tip / units[self.layout.base_size :]) * units
         return self.method.expand(inner, condensed, dY)
 
     def scale(self, U):
         """Sizes of the unknowns, (columns,): a bent rod's, and those of the answer so far."""
-        rod, c0 = self.rod, None if self.history is None else self.history.c0
-        n = self.layout.size
-        EI = jnp.max(rod.K_bt[:2])
-        if c0 is not None and rod.B_bt is not None:
-            EI = EI + c0 * jnp.max(rod.B_bt[:2])
-        one = jnp.ones(3)
-        N, M = jnp.max(jnp.abs(U[:, n - 6 : n - 3])), jnp.max(jnp.abs(U[:, n - 3 : n]))
-        states = self.layout.join(
-            jnp.ones(4) if self.layout.attitude else None,
-            c0 * rod.L * one if self.layout.dynamic else None,
-            c0 * one if self.layout.dynamic else None,
-            (EI / rod.L**2 + N) * one,
-            (EI / rod.L + M) * one,
-        )
+        layout, n = self.layout, self.layout.size
+        states = sizes(U[:, :n], self.rod, layout, self.history)
         if U.shape[-1] == n:
             return states
-        curvature = 1 / rod.L + jnp.max(jnp.abs(U[:, -3:]))
-        return jnp.concatenate([states, one, curvature * one])
+        stretch, bend = layout.split_strain(U[:, n:])
+        curvature = 1 / self.rod.L + jnp.max(jnp.abs(bend))
+        stretch = None if stretch is None else jnp.ones(layout.vector)
+        return layout.join(states, stretch, curvature * jnp.ones(layout.turn))
 
     def fields(self, U) -> Fields:
         """The rod at all points."""

@@ -118,7 +118,7 @@ class Collocation(Method):
     def fields(self, U, rod: Rod, layout: Layout, history, guess) -> Fields:
         """The rod at all points."""
         y, strain, _ = self._split(U, rod, layout, history)
-        return Fields(y, strain, self._error(strain, rod.L))
+        return Fields(y, strain, self._error(strain, rod.L, layout))
 
     def residual(self, U, rod: Rod, layout: Layout, history, guess) -> "_Residual":
         """How far the unknowns are from solving the rod ODE."""
@@ -180,7 +180,8 @@ class Collocation(Method):
         dU = jnp.concatenate([body.reshape(-1, body.shape[-1]), dY[-1:]])
         if strains is None:
             return dU
-        return jnp.concatenate([dU, apply_each(strains[0], dU[:, -6:] - forces)], -1)
+        wrench = dU[:, -forces.shape[-1] :]
+        return jnp.concatenate([dU, apply_each(strains[0], wrench - forces)], -1)
 
     def _split(self, U, rod, layout, history):
         """States, strains and the pointwise problem of which they are the solution."""
@@ -195,17 +196,20 @@ class Collocation(Method):
         rank = np.argsort(np.argsort(self._formula.c))
         return [nodes[:-1], nodes[1:]] + [points[1 + k :: self._stride] for k in rank]
 
-    def _error(self, strain, length):
+    def _error(self, strain, length, layout):
         """From differences of the strains along the rod; see `_DIFFERENCE`."""
         order = self.order
         if strain.shape[0] <= order:
             return jnp.array(jnp.nan)
         rough = jnp.abs(jnp.diff(strain, order, axis=0))
-        stretch, bend = jnp.max(rough[:, :3], -1), jnp.max(rough[:, 3:], -1)
+        stretch, bend = layout.split_strain(rough)
         # A turn of a section moves the tip by its distance from it.
         arm = np.linspace(1.0, 0.0, strain.shape[0])
         arm = np.convolve(arm, np.ones(order + 1) / (order + 1), "valid") * length
-        return _DIFFERENCE[order] * jnp.mean(stretch + arm * bend)
+        moved = arm * jnp.max(bend, -1)
+        if stretch is not None:
+            moved = jnp.max(stretch, -1) + moved
+        return _DIFFERENCE[order] * jnp.mean(moved)
 
 
 class _Residual(NamedTuple):

@@ -15,6 +15,7 @@ from softrod_jax.marching import march
 from softrod_jax.method import Method
 from softrod_jax.newton import NewtonOptions
 from softrod_jax.precision import require_float64
+from softrod_jax.restrictions import check_scene
 from softrod_jax.results import RESULTS, raise_unless_successful
 from softrod_jax.rod import clamp_pose, make_rod
 from softrod_jax.rotations import to_base
@@ -85,10 +86,12 @@ def simulate(
     - `throw`: raise `SolveError` if a step fails; else see `Trajectory.result`.
 
     Works under `jit`, `vmap`, `grad` and `jacfwd`. Raises `ValueError` for inputs of the wrong
-    shape, negative tensions, a step dt <= 0, and without float64.
+    shape, negative tensions, a step dt <= 0, what contradicts `Scene.inextensible` or
+    `Scene.plane`, and without float64.
     """
     require_float64("simulate")
     scene = as_arrays(scene)
+    check_scene("simulate", scene)
     tensions, pressures = actuation("simulate", scene, tensions, pressures, ndim=2)
     steps = _count_steps(steps, tensions, pressures)
     dt = jnp.asarray(dt, dtype=float)

@@ -22,9 +22,10 @@ from softrod_jax.inertial_search import Before, search_by_inertia
 from softrod_jax.inputs import valid_actuation
 from softrod_jax.method import Guess
 from softrod_jax.newton import Borrowed, no_factors
+from softrod_jax.restrictions import fits_plane, in_space
 from softrod_jax.results import RESULTS
-from softrod_jax.rod import Rod, make_rod
-from softrod_jax.rod_ode import History, Layout
+from softrod_jax.rod import Rod, fastest_wave, full_strain, inner_strain, make_rod
+from softrod_jax.rod_ode import History, Layout, layout_of
 from softrod_jax.statics import unloaded_guess
 from softrod_jax.time_schemes import jumps
 
@@ -59,11 +60,13 @@ class Stepping(NamedTuple):
     """How a motion begins and goes on; its state is (memory of the time scheme, `Running`).
 
     `start()`: the state before the first step. `step(state, (coefficients, course))`: the state
-    after it and, of this step, what `March` has of all; `course`: a row of a `Course`.
+    after it and, of this step, what `March` has of all; `course`: a row of a `Course`. Strains and
+    velocities are those that are unknown in `rod`.
     """
 
     start: Callable
     step: Callable
+    rod: Rod
 
 
 class March(NamedTuple):
@@ -112,7 +115,8 @@ def march(scene, dt, inputs, strain, steps, substeps, scheme, method, options) -
     )
     strains = jnp.concatenate([start[0][0].strain[None], strains])
     velocities = jnp.concatenate([jnp.zeros_like(velocities[:1]), velocities])
-    return March(strains, velocities, results, stats)
+    rod = stepping.rod
+    return March(full_strain(strains, rod), in_space(velocities, rod.plane), results, stats)
 
 
 def make_stepping(scene, dt, actuation, strain, substeps, scheme, method, options) -> Stepping:
@@ -128,16 +132,18 @@ def make_stepping(scene, dt, actuation, strain, substeps, scheme, method, option
     def rod_under(tau, pressure):
         return valid_actuation(make_rod(scene, tau, pressure, spacing=spacing))
 
+    fits = None if scene.plane is None else fits_plane(scene)
     rod, _ = rod_under(*actuation)
-    layout = Layout(attitude=rod.has_dead_load, dynamic=True)
+    layout = layout_of(rod, dynamic=True)
     guess = unloaded = unloaded_guess(method, layout, rod)
     if strain is not None:
-        guess = guess._replace(strain=strain)
-    fields = Fields(guess.strain, jnp.zeros_like(guess.strain))
+        guess = guess._replace(strain=inner_strain(strain, rod))
+    still = jnp.zeros((*guess.strain.shape[:-1], layout.pair))
+    fields = Fields(guess.strain, still)
 
     # No grid holds a front that is thinner than its points are apart: what jumps rises while a wave
     # runs half of that distance, or in a step if that is shorter.
-    wave_speed = jnp.sqrt(rod.K_se[2] / rod.rho_A)
+    wave_speed = fastest_wave(rod)
     crossing = spacing / (wave_speed * dt)
     rise, shortest = jnp.minimum(0.5 * crossing, 1.0), _RUN * crossing
 
@@ -150,6 +156,8 @@ def make_stepping(scene, dt, actuation, strain, substeps, scheme, method, option
             progress = jnp.minimum(first + at * part, 1.0)
             rod, valid = rod_under(*course.at(progress, rise))
             valid &= course.finite
+            if fits is not None:
+                valid &= fits
             # After a failure, an unloaded rod at rest costs a batch no iterations.
             alive = running.result == RESULTS.successful
             rod = scaled_loads(rod, jnp.where(alive, 1.0, 0.0))
@@ -218,7 +226,7 @@ def make_stepping(scene, dt, actuation, strain, substeps, scheme, method, option
             part = jnp.where(done + 1.05 * running.part >= 1.0, 1.0 - done, running.part)
             coefficients = scheme.coefficients(part * dt, jnp.zeros(1, dtype=bool))[0]
             new, error = substep(course, done, part, coefficients, (memory, running))
-            shift = tip_shift(*error, rod.L) / substeps.limit
+            shift = tip_shift(*error, rod.L, layout) / substeps.limit
             tried = new[1]
             solved = tried.result == RESULTS.successful
             ok = solved & ((shift <= 1.0) | (part <= 1.01 * shortest))
@@ -267,13 +275,13 @@ def make_stepping(scene, dt, actuation, strain, substeps, scheme, method, option
 
     def start():
         zero, none = jnp.zeros((), jnp.int32), jnp.zeros(())
-        still = jnp.zeros_like(guess.strain)
-        at_rest = History(jnp.ones(()), still, still)
+        steady = jnp.zeros_like(guess.strain)
+        at_rest = History(jnp.ones(()), steady, still)
         equations = Equations(method, layout, rod, at_rest, guess.strain)
         running = Running(
             guess,
             scaled_loads(rod, 0.0),
-            still,
+            steady,
             no_factors(equations.factorise, equations.start(guess)),
             none,
             zero,
@@ -284,10 +292,10 @@ def make_stepping(scene, dt, actuation, strain, substeps, scheme, method, option
         )
         return scheme.start(fields, guess), running
 
-    return Stepping(start, step)
+    return Stepping(start, step, rod)
 
 
-def tip_shift(error: Fields, of_integral: Fields, length) -> Float[Array, ""]:
+def tip_shift(error: Fields, of_integral: Fields, length, layout: Layout) -> Float[Array, ""]:
     """How far local errors in time move the tip, in lengths of the rod.
 
     The tip is the integral of the strains along the rod, and of its velocity over time. The one
@@ -295,10 +303,12 @@ def tip_shift(error: Fields, of_integral: Fields, length) -> Float[Array, ""]:
     vibration that the step damps out: the smaller is right.
     """
     arm = jnp.linspace(1.0, 0.0, error.strain.shape[0])[:, None]
-    stretch = jnp.mean(error.strain[:, :3], axis=0)
-    turn = length * jnp.mean(arm * error.strain[:, 3:], axis=0)
-    along_rod = jnp.linalg.norm(stretch) + jnp.linalg.norm(turn)
-    return jnp.minimum(along_rod, jnp.linalg.norm(of_integral.velocity[-1, :3]) / length)
+    stretch, bend = layout.split_strain(error.strain)
+    along_rod = jnp.linalg.norm(length * jnp.mean(arm * bend, axis=0))
+    if stretch is not None:
+        along_rod = jnp.linalg.norm(jnp.mean(stretch, axis=0)) + along_rod
+    moved = of_integral.velocity[-1, : layout.vector]
+    return jnp.minimum(along_rod, jnp.linalg.norm(moved) / length)
 
 
 class Course(NamedTuple):

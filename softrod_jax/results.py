@@ -38,7 +38,8 @@ _MESSAGES = {
         "take a smaller dt"
     ),
     RESULTS.bad_input: (
-        "an input is not finite, or a tension is negative; a tendon can only pull"
+        "an input is not finite, or a tension is negative (a tendon can only pull), or the scene "
+        "has a plane and something in it is not in that plane"
     ),
     RESULTS.inaccurate: (
         "the equations along the rod are solved on a grid too coarse for them; take more "

@@ -1,5 +1,9 @@
 """Rotations and rigid motions: unit quaternions (w, x, y, z) and exponentials.
 
+In a plane, a vector has two components, a turn (curvature, angular velocity, moment) has one, and
+an attitude is an angle (1,), which turns from the second axis to the first. `hats`, `cross` and
+`to_body` tell by the sizes what they are given.
+
 Small angles: coefficients such as sin(x)/x switch to their Taylor series, and the branch that
 is not taken sees a safe argument ("double where"), so that no derivative is NaN at zero.
 """
@@ -24,11 +28,38 @@ def hat(a: Vector) -> Matrix:
     )
 
 
+def hats(a) -> tuple[Matrix, Matrix]:
+    """The matrices of `a x` for vectors and for turns: one and the same, but in a plane."""
+    if a.shape[-1] == 3:
+        matrix = hat(a)
+        return matrix, matrix
+    rows = lambda *rows: jnp.stack([jnp.stack(row, -1) for row in rows], -2)
+    if a.shape[-1] == 1:  # a turn
+        x = a[..., 0]
+        o = jnp.zeros_like(x)
+        return rows([o, x], [-x, o]), rows([o])
+    x, z = a[..., 0], a[..., 1]
+    return rows([z, -x]), rows([-z], [x])
+
+
 def cross(a: Vector, b: Vector) -> Vector:
     """a x b, in components (jnp.cross compiles to gathers)."""
+    if a.shape[-1] < 3:
+        return _cross_in_plane(a, b)
     ax, ay, az = a[..., 0], a[..., 1], a[..., 2]
     bx, by, bz = b[..., 0], b[..., 1], b[..., 2]
     return jnp.stack([ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx], -1)
+
+
+def _cross_in_plane(a, b):
+    match a.shape[-1], b.shape[-1]:
+        case 1, 1:
+            return jnp.zeros_like(a * b)
+        case 1, 2:
+            return jnp.concatenate([a * b[..., 1:], -a * b[..., :1]], -1)
+        case 2, 1:
+            return jnp.concatenate([-a[..., 1:] * b, a[..., :1] * b], -1)
+    return a[..., 1:] * b[..., :1] - a[..., :1] * b[..., 1:]
 
 
 def quaternion_product(a: Quaternion, b: Quaternion) -> Quaternion:
@@ -62,6 +93,9 @@ def rotation_matrix(h: Quaternion) -> Matrix:
 
 def to_body(h: Quaternion, a: Vector) -> Vector:
     """R(h)^T a: a vector of the base frame, seen from the body."""
+    if h.shape[-1] == 1:
+        c, s, x, z = jnp.cos(h), jnp.sin(h), a[..., :1], a[..., 1:]
+        return jnp.concatenate([c * x - s * z, s * x + c * z], -1)
     w, r = h[..., :1], h[..., 1:]
     k = 2 / (w * w + jnp.sum(r * r, -1, keepdims=True))
     c = cross(r, a)

@@ -16,6 +16,9 @@ from softrod_jax.sections import Circle, Section
 
 Scalar = Float[Array, ""]
 
+# The planes that a scene may be in: across the rod, and along it.
+PLANES = ("xz", "yz")
+
 
 class Tendons(eqx.Module):
     """Frictionless tendons, parallel to the rod, that end at the tip.
@@ -80,6 +83,15 @@ class Scene(eqx.Module):
     - `rest_curvature` u* [1/m] and `rest_stretch` v* [-], (3,): the strains of the unloaded
       rod; straight (0, 0, 0) and (0, 0, 1) where `None`.
     - `base_position` [m], (3,), and `base_quaternion` (w, x, y, z): pose of the clamp.
+
+    Restrictions, with fewer unknowns. They are part of the program and not numbers in it:
+
+    - `inextensible`: the rod bends and twists only, v = v* everywhere. N is then what holds it
+      so. `shear_damping` and `shear_correction` have no meaning and are refused.
+    - `plane`: "xz" or "yz", the plane in which the rod stays; everything in the scene must be in
+      it, forces and offsets along its axes, moments and curvatures about its normal.
+
+    Raises `ValueError` for any other plane, and where `inextensible` is not True or False.
     """
 
     length: Scalar
@@ -100,6 +112,14 @@ class Scene(eqx.Module):
     rest_stretch: Optional[Float[Array, "3"]] = None
     base_position: Optional[Float[Array, "3"]] = None
     base_quaternion: Optional[Float[Array, "4"]] = None
+    inextensible: bool = eqx.field(static=True, default=False)
+    plane: Optional[str] = eqx.field(static=True, default=None)
+
+    def __check_init__(self):
+        if not isinstance(self.inextensible, bool):
+            raise ValueError(f"Scene: inextensible={self.inextensible!r}; use True or False")
+        if self.plane is not None and self.plane not in PLANES:
+            raise ValueError(f'Scene: plane={self.plane!r} is not offered; use "xz", "yz" or None')
 
     @property
     def shear_modulus(self) -> Scalar:

@@ -2,7 +2,8 @@
 
 SI units. A key or a table that is absent means that the effect is not in the scene. The format
 itself is the tables of `scene_schema`; here are reading, writing and the checks that need two
-keys at once (a tendon must lie inside the section, a tube's bore be smaller than the tube).
+keys at once (a tendon must lie inside the section, a tube's bore be smaller than the tube, all be in
+the scene's plane).
 """
 
 import tomllib
@@ -15,6 +16,7 @@ import numpy as np
 
 from softrod_jax import scene_schema as schema
 from softrod_jax.precision import require_float64
+from softrod_jax.restrictions import misfits
 from softrod_jax.scene import Chambers, Payload, Scene, Tendons, TipLoad, as_arrays
 from softrod_jax.scene_schema import SceneError, complaint, read_table
 from softrod_jax.sections import Annulus, Circle, GeneralSection, Rectangle
@@ -80,7 +82,7 @@ def _scene(document: dict, file: str) -> Scene:
         mass = read_table(top["payload"], schema.PAYLOAD, f"{file} payload")["mass"]
     load = read_table(top.get("tip_load", {}), schema.TIP_LOAD, f"{file} tip_load")
     has_load = any(x is not None for x in load.values())
-    return as_arrays(
+    scene = as_arrays(
         Scene(
             **rod,
             tendons=Tendons(_stack(tendons, "offset")) if tendons else None,
@@ -91,6 +93,9 @@ def _scene(document: dict, file: str) -> Scene:
             tip_load=TipLoad(**load) if has_load else None,
         )
     )
+    for key, value, remedy in misfits(scene):
+        raise SceneError(complaint(f"{file} {key}", value, remedy))
+    return scene
 
 
 def _stack(entries: list[dict], key: str):
@@ -182,6 +187,10 @@ def _document(scene: Scene, file: str) -> dict:
     shape = shapes[type(scene.section)]
     section = {"shape": shape, **_values(scene.section, schema.SECTIONS[shape][1])}
     document = {"rod": {**_values(scene, schema.ROD), "section": section}}
+    # Static, and so at hand as they are; one that restricts nothing is left out.
+    document["rod"] |= {
+        key: getattr(scene, key) for key in ("inextensible", "plane") if getattr(scene, key)
+    }
     if scene.tendons is not None:
         document["tendons"] = [{"offset": x} for x in _plain(scene.tendons.offsets)]
     if scene.chambers is not None:
@@ -217,6 +226,8 @@ def _toml(document: dict) -> str:
 
 def _toml_value(value) -> str:
     match value:
+        case bool():
+            return str(value).lower()
         case str():
             return f'"{value}"'
         case dict():

@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from softrod_jax.scene import PLANES
 from softrod_jax.sections import Annulus, Circle, GeneralSection, Rectangle
 
 
@@ -112,7 +113,19 @@ class Word:
         return value
 
 
-Schema = dict[str, Number | Table | Tables | Word]
+@dataclass(frozen=True)
+class Flag:
+    """Whether something is so."""
+
+    required: bool = False
+
+    def read(self, value: Any, where: str) -> bool:
+        if not isinstance(value, bool):
+            raise SceneError(complaint(where, value, "expected true or false"))
+        return value
+
+
+Schema = dict[str, Number | Table | Tables | Word | Flag]
 
 _SIZE = Number("m", above=0, required=True)
 _DAMPING = {"sizes": (0, 3), "at_least": 0, "zero_is_absent": True}
@@ -140,6 +153,8 @@ ROD: Schema = {
     "rest_stretch": Number(sizes=(3,)),
     "base_position": Number("m", sizes=(3,)),
     "base_quaternion": Number(sizes=(4,)),
+    "inextensible": Flag(),
+    "plane": Word(PLANES),
 }
 
 SECTIONS: dict[str, tuple[type, Schema]] = {

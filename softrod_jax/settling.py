@@ -18,7 +18,7 @@ from softrod_jax.method import Guess, Method
 from softrod_jax.newton import NewtonOptions
 from softrod_jax.results import RESULTS
 from softrod_jax.rod import Rod
-from softrod_jax.rod_ode import History, Layout
+from softrod_jax.rod_ode import History, Layout, layout_of
 
 # In units of the rod's own time, L^2 sqrt(rho A / EI): the damping B / K and the time step.
 _DAMPING, _STEP = 0.3, 0.1
@@ -53,15 +53,19 @@ def settle(
     rod = eqx.tree_at(
         lambda r: (r.B_se, r.B_bt, r.C),
         rod,
-        (_DAMPING * unit * rod.K_se, _DAMPING * unit * rod.K_bt, None),
+        (
+            None if rod.K_se is None else _DAMPING * unit * rod.K_se,
+            _DAMPING * unit * rod.K_bt,
+            None,
+        ),
         is_leaf=lambda x: x is None,
     )
-    moving = Layout(attitude=layout.attitude, dynamic=True)
+    moving = layout_of(rod, dynamic=True)
 
     def at_rest(guess):
-        zero = jnp.zeros((*guess.y.shape[:-1], 3))
+        still = jnp.zeros((*guess.y.shape[:-1], layout.pair))
         h, _, _, N, M = layout.split(guess.y)
-        return Guess(moving.join(h, zero, zero, N, M), guess.strain)
+        return Guess(moving.join(h, still, N, M), guess.strain)
 
     def step(state):
         load = jnp.minimum(1.0, (state.loaded + 1) / _RISE)
@@ -73,7 +77,8 @@ def settle(
         U, found, _ = search_directly(here, options, here.start(state.guess))
         new = here.fields(U)
         ok = found.result == RESULTS.successful
-        change = jnp.max(jnp.abs(new.strain - state.guess.strain)[:, 3:]) * rod.L
+        _, bend = layout.split_strain(new.strain - state.guess.strain)
+        change = jnp.max(jnp.abs(bend)) * rod.L
         return _State(
             jax.tree.map(lambda a, b: jnp.where(ok, a, b), Guess(new.y, new.strain), state.guess),
             jnp.where(ok, jnp.minimum(1.5 * state.h, _STEP * unit), 0.25 * state.h),

@@ -18,7 +18,7 @@ from jaxtyping import Array, Float
 
 from softrod_jax.method import Fields, Guess, Linear, Method
 from softrod_jax.rod import Rod
-from softrod_jax.rod_ode import History, Layout, rod_ode
+from softrod_jax.rod_ode import History, Layout, rod_ode, sizes
 from softrod_jax.shape import integrate_shape
 
 # Boole's rule: exact for the moments that the sixth-order Magnus expansion needs.
@@ -228,17 +228,4 @@ def _differentiable(solver: diffrax.AbstractSolver) -> diffrax.AbstractSolver:
 
 def _units(Y, rod: Rod, layout: Layout, history):
     """Sizes of the state's components, (n,): a bent rod's, or those of `Y` if larger."""
-    EI = jnp.max(rod.K_bt[:2])
-    rate = 1.0 if history is None else history.c0
-    if history is not None and rod.B_bt is not None:
-        EI = EI + rate * jnp.max(rod.B_bt[:2])
-    N, M = jnp.max(jnp.abs(Y[:, -6:-3])), jnp.max(jnp.abs(Y[:, -3:]))
-    one = jnp.ones(3)
-    units = layout.join(
-        jnp.ones(4) if layout.attitude else None,
-        rate * rod.L * one if layout.dynamic else None,
-        rate * one if layout.dynamic else None,
-        (EI / rod.L**2 + N) * one,
-        (EI / rod.L + M) * one,
-    )
-    return jax.lax.stop_gradient(units)
+    return jax.lax.stop_gradient(sizes(Y, rod, layout, history))

@@ -20,9 +20,10 @@ from softrod_jax.inputs import actuation, is_traced, valid_actuation
 from softrod_jax.method import MOST_INTERVALS, Guess, Method
 from softrod_jax.newton import NewtonOptions
 from softrod_jax.precision import require_float64
+from softrod_jax.restrictions import check_scene, fits_plane, in_space
 from softrod_jax.results import RESULTS, raise_unless_successful
-from softrod_jax.rod import Rod, clamp_pose, make_rod
-from softrod_jax.rod_ode import Layout
+from softrod_jax.rod import Rod, clamp_pose, full_strain, make_rod
+from softrod_jax.rod_ode import Layout, layout_of
 from softrod_jax.rotations import quaternion_exp, quaternion_product
 from softrod_jax.scene import Scene, as_arrays
 from softrod_jax.settling import settle
@@ -46,7 +47,8 @@ class StaticSolution(eqx.Module):
     - `result`: a code of `RESULTS`; 0 is success. Else the numbers are the last iterate.
     - `stats`: "iterations", "residual" (Newton's last correction, relative to the size of the
       state), "load_steps" (1: reached at once; more: by continuation in the load), "stable"
-      (false: a disturbance, however small, takes the rod to another equilibrium), "error" (of
+      (false: a disturbance, however small, takes the rod to another equilibrium; of a scene with
+      a plane, one in that plane), "error" (of
       the discretisation along the rod, estimated, in lengths of the rod; NaN: no estimate),
       "transient_steps" (of the damped motion; 0: it was not needed).
     """
@@ -89,10 +91,12 @@ def solve_static(
     Under `jit`, `vmap` and `grad` the damped motion is not tried: such a sample has a code.
 
     Works under `jit`, `vmap`, `grad` and `jacfwd`. Raises `ValueError` for inputs of the wrong
-    shape, negative tensions, and without float64.
+    shape, negative tensions, what contradicts `Scene.inextensible` or `Scene.plane`, and without
+    float64.
     """
     require_float64("solve_static")
     scene = as_arrays(scene)
+    check_scene("solve_static", scene)
     tensions, pressures = actuation("solve_static", scene, tensions, pressures, ndim=1)
     arguments = (scene, tensions, pressures)
     traced = is_traced(arguments)
@@ -147,25 +151,27 @@ def _settled(scene, tensions, pressures, method, options):
 
 def _problem(scene, tensions, pressures, method):
     rod = make_rod(scene, tensions, pressures, dynamic=False)
-    layout = Layout(attitude=rod.has_dead_load, dynamic=False)
+    layout = layout_of(rod, dynamic=False)
     rod, valid = valid_actuation(rod)
+    if scene.plane is not None:
+        valid &= fits_plane(scene)
     return rod, valid, layout, unloaded_guess(method, layout, rod)
 
 
 def _solution(scene, rod, method, solved, valid, transient_steps):
     result = jnp.where(valid, solved.found.result, RESULTS.bad_input).astype(jnp.int32)
     fields = solved.fields
-    positions, quaternions = method.shape(
-        fields.strain, rod.L, *clamp_pose(scene)
-    )
+    strain = full_strain(fields.strain, rod)
+    positions, quaternions = method.shape(strain, rod.L, *clamp_pose(scene))
+    wrench = method.outputs(fields.y)[:, -layout_of(rod, dynamic=False).pair :]
     return StaticSolution(
         tip_position=positions[-1],
         tip_quaternion=quaternions[-1],
         arc_lengths=method.outputs(method.points(rod.L)),
         positions=positions,
         quaternions=quaternions,
-        strains=method.outputs(fields.strain),
-        wrenches=method.outputs(fields.y)[:, -6:],
+        strains=method.outputs(strain),
+        wrenches=in_space(wrench, rod.plane),
         result=result,
         stats={
             "iterations": solved.found.iterations,
@@ -175,22 +181,25 @@ def _solution(scene, rod, method, solved, valid, transient_steps):
             "error": fields.error,
             "transient_steps": transient_steps,
         },
-        point_strains=fields.strain,
+        point_strains=strain,
         method=method,
     )
-
-
 
 
 def unloaded_guess(method: Method, layout: Layout, rod: Rod) -> Guess:
     """The rod without any load: strains v*, u*, no wrench, at rest."""
     s = method.points(rod.L)
-    strain = jnp.broadcast_to(jnp.concatenate([rod.v_star, rod.u_star]), (s.shape[0], 6))
+    strain = rod.u_star
+    if not layout.inextensible:
+        strain = jnp.concatenate([rod.v_star, strain])
+    strain = jnp.broadcast_to(strain, (s.shape[0], layout.strain_size))
     h = None
     if layout.attitude:
-        turned = quaternion_exp(s[:, None] * rod.u_star)
-        h = quaternion_product(jnp.broadcast_to(rod.h_base, turned.shape), turned)
-    rest = jnp.zeros((s.shape[0], layout.size - 4 * layout.attitude))
+        turn = s[:, None] * rod.u_star
+        h = rod.h_base + turn if layout.planar else quaternion_exp(turn)
+        if not layout.planar:
+            h = quaternion_product(jnp.broadcast_to(rod.h_base, h.shape), h)
+    rest = jnp.zeros((s.shape[0], layout.size - layout.attitude_size))
     return Guess(layout.join(h, rest), strain)
 
 

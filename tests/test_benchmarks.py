@@ -48,11 +48,15 @@ def test_steps_divide_the_samples_and_names_tell_settings_apart(name):
 
 def test_absent_parts_are_not_in_the_program():
     programs = skip.programs()
-    full, some, least = [
+    full, some, least, flat = [
         skip.count_equations(skip.trace(*programs[name])[0].jaxpr)
-        for name in ("everything", "no tendons", "gravity only")
+        for name in ("everything", "no tendons", "gravity only", "planar, inextensible")
     ]
     assert full > some > least, (full, some, least)
+    assert full > flat, (full, flat)
     unknowns = {name: skip.count_unknowns(*programs[name]) for name in programs}
     assert unknowns["everything"] == 22 and unknowns["no tendons"] == 16
     assert unknowns["no gravity"] == 18 and unknowns["everything, static"] == 16
+    assert unknowns["inextensible"] == 19 and unknowns["inextensible, static"] == 13
+    assert unknowns["planar"] == 10 and unknowns["planar, static"] == 7
+    assert unknowns["planar, inextensible"] == 8 and unknowns["planar, inextensible, static"] == 5

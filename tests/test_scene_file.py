@@ -96,7 +96,8 @@ def test_absent_is_none(tmp_path):
     scene = load_scene(write(tmp_path, BARE))
     present = {"length", "section", "young_modulus", "poisson_ratio", "density"}
     for name in Scene.__dataclass_fields__:
-        assert (getattr(scene, name) is not None) == (name in present), name
+        value = getattr(scene, name)
+        assert (value is not None and value is not False) == (name in present), name
 
 
 @pytest.mark.parametrize(
@@ -141,6 +142,9 @@ SCENES = {
         )
     ),
     "annulus": lambda: as_arrays(Scene(0.2, Annulus(6e-3, 2e-3), 1e5, 0.49, 1000.0)),
+    "restricted": lambda: as_arrays(
+        Scene(0.2, Circle(6e-3), 1e5, 0.49, 1000.0, inextensible=True, plane="yz")
+    ),
     "general": lambda: as_arrays(
         Scene(0.2, GeneralSection(1e-4, jnp.array([1e-9, 2e-9]), 1.5e-9), 1e5, -0.5, 1.0)
     ),
@@ -234,6 +238,23 @@ BAD = [
     ("quaternion", BARE + "base_quaternion = [1, 0, 0, 1]", ["base_quaternion", "norm is 1.414"]),
     ("stretch", BARE + "rest_stretch = [0, 0, 0]", ["rod.rest_stretch", "above 0"]),
     ("correction", BARE + "shear_correction = 0", ["rod.shear_correction = 0", "above 0"]),
+    ("flag", BARE + "inextensible = 1", ["rod.inextensible = 1", "true or false"]),
+    (
+        "damping of no shear",
+        BARE + "inextensible = true\nshear_damping = 0.1",
+        ["rod.shear_damping = 0.1", "inextensible rod does not stretch", "leave shear_damping out"],
+    ),
+    ("plane", BARE + 'plane = "xy"', ["rod.plane = 'xy'", '"xz", "yz"']),
+    (
+        "gravity off the plane",
+        BARE + 'plane = "yz"\ngravity = [-9.81, 0.0, 0.0]',
+        ["rod.gravity = [-9.81, 0.0, 0.0]", 'not in the plane "yz"', "expected 0 for x"],
+    ),
+    (
+        "tendon off the plane",
+        BARE + 'plane = "xz"\n[[tendons]]\noffset = [4e-3, 0]\n[[tendons]]\noffset = [0, 4e-3]',
+        ["tendons[1].offset = [0.0, 0.004]", "expected 0 for y", "or no plane"],
+    ),
 ]
 
 

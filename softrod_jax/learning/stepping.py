@@ -20,7 +20,8 @@ from softrod_jax.marching import Course, make_stepping
 from softrod_jax.method import Method
 from softrod_jax.newton import NewtonOptions
 from softrod_jax.precision import require_float64
-from softrod_jax.rod import clamp_pose
+from softrod_jax.restrictions import check_scene, in_space
+from softrod_jax.rod import clamp_pose, full_strain, make_rod
 from softrod_jax.rotations import to_base
 from softrod_jax.scene import Scene, as_arrays
 from softrod_jax.statics import StaticSolution
@@ -42,7 +43,8 @@ class RodState(eqx.Module):
 
     - `time` [s] since the reset; `action`: what acts at this moment.
     - `strains` (v, u) and `velocities` (q, omega), (points, 6) each, body frame, at all points
-      of the method.
+      of the method. Of a scene that is inextensible, or in a plane, only what is unknown there;
+      `Stepper.view` has all.
     - `result`: a code of `RESULTS`; 0 is success. From the first step that has no solution on,
       the rod is held where it was, with the derivative zero, until it is reset.
     - `iterations` of Newton's method in the last step; `error` there of the discretisation along
@@ -135,6 +137,7 @@ class Stepper(eqx.Module):
         if not isinstance(substeps, int) or substeps < 1:
             raise ValueError(f"Stepper: substeps={substeps!r}; a whole number from 1 is needed")
         self.scene, self.dt, self.substeps = as_arrays(scene), dt, substeps
+        check_scene("Stepper", self.scene)
         self.scheme, self.method, self.newton = scheme, method, newton
 
     def reset(
@@ -284,15 +287,17 @@ def _rollout(stepper, state, actions, jumps):
 @compiled
 def _view(stepper, state):
     method, scene = stepper.method, stepper.scene
-    positions, quaternions = method.shape(state.strains, scene.length, *clamp_pose(scene))
-    velocities = method.outputs(state.velocities)
+    rod = make_rod(scene)
+    strains = full_strain(state.strains, rod)
+    positions, quaternions = method.shape(strains, scene.length, *clamp_pose(scene))
+    velocities = in_space(method.outputs(state.velocities), scene.plane)
     return RodView(
         time=state.time,
         tip_position=positions[-1],
         tip_velocity=to_base(quaternions[-1], velocities[-1, :3]),
         positions=positions,
         quaternions=quaternions,
-        strains=method.outputs(state.strains),
+        strains=method.outputs(strains),
         velocities=velocities,
         result=state.result,
     )
