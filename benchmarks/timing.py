@@ -111,16 +111,11 @@ def first_calls() -> list[list[str]]:
     for name, call in CALLS.items():
         with tempfile.TemporaryDirectory() as cache:
             environment = {**os.environ, "JAX_COMPILATION_CACHE_DIR": cache}
-            run = lambda: float(
-                subprocess.run(
-                    [sys.executable, "-c", FIRST.format(**call)],
-                    env=environment,
-                    check=True,
-                    capture_output=True,
-                    text=True,
-                ).stdout
-            )
-            rows.append([name, *(f"{run():.1f}" for _ in range(2))])
+            command = [sys.executable, "-c", FIRST.format(**call)]
+            rows.append([name])
+            for _ in range(2):
+                printed = subprocess.check_output(command, env=environment, text=True)
+                rows[-1].append(f"{float(printed):.1f}")
     return rows
 
 

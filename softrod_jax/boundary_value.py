@@ -5,7 +5,8 @@ derivative, forward and reverse, comes from the implicit function theorem: one m
 with the Jacobian at the solution, never a differentiated iteration.
 """
 
-from typing import Any, Callable, NamedTuple, Optional
+from collections.abc import Callable
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
@@ -66,7 +67,7 @@ class Equations(NamedTuple):
     method: Method
     layout: Layout
     rod: Rod
-    history: Optional[History]
+    history: History | None
     guess: Float[Array, "points 6"]
 
     @property
@@ -137,7 +138,7 @@ class Equations(NamedTuple):
 
 
 def search_directly(
-    equations: Equations, options: NewtonOptions, U, borrowed: Optional[Borrowed] = None
+    equations: Equations, options: NewtonOptions, U, borrowed: Borrowed | None = None
 ):
     """Newton's method from `U`: the unknowns, how they were found, and the last factors."""
     layout = equations.layout
@@ -163,7 +164,7 @@ def solve_boundary_value(
     layout: Layout,
     options: NewtonOptions,
     rod: Rod,
-    history: Optional[History],
+    history: History | None,
     guess: Guess,
     search: Callable = search_directly,
     before: Any = None,

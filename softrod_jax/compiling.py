@@ -1,7 +1,7 @@
 """Compiling faster: a rod's program is large, and often runs a few times only."""
 
 import functools
-from typing import Callable
+from collections.abc import Callable
 
 import equinox as eqx
 import jax

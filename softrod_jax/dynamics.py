@@ -1,6 +1,5 @@
 """Motion of a scene under inputs that change with time."""
 
-from typing import Optional
 
 import equinox as eqx
 import jax
@@ -56,13 +55,13 @@ class Trajectory(eqx.Module):
 def simulate(
     scene: Scene,
     dt,
-    tensions: Optional[Float[Array, "steps tendons"]] = None,
-    pressures: Optional[Float[Array, "steps chambers"]] = None,
+    tensions: Float[Array, "steps tendons"] | None = None,
+    pressures: Float[Array, "steps chambers"] | None = None,
     *,
-    steps: Optional[int] = None,
+    steps: int | None = None,
     substeps: int = 1,
-    tolerance: Optional[float] = None,
-    initial: Optional[StaticSolution] = None,
+    tolerance: float | None = None,
+    initial: StaticSolution | None = None,
     scheme: TimeScheme = SDIRK(),
     method: Method = Collocation(),
     newton: NewtonOptions = NewtonOptions(),

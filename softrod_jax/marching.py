@@ -6,7 +6,8 @@ of equal ones, or into as many as keep the error of each one small.
 
 import dataclasses
 import functools
-from typing import Any, Callable, NamedTuple
+from collections.abc import Callable
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp

@@ -15,7 +15,6 @@ from jaxtyping import Array, Float
 from softrod_jax.rod import Rod
 from softrod_jax.rod_ode import Layout
 
-
 # Where a search for an accuracy along the rod ends.
 MOST_INTERVALS = 96
 

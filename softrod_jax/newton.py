@@ -6,7 +6,8 @@ how the equations are scaled, says directly how far the solution still is, and c
 Jacobian: while it falls fast, the same factors serve on, also from one problem to the next.
 """
 
-from typing import Any, Callable, NamedTuple, Optional
+from collections.abc import Callable
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
@@ -79,7 +80,7 @@ def newton(
     scale,
     options: NewtonOptions,
     exact_factors: bool = False,
-    borrowed: Optional[Borrowed] = None,
+    borrowed: Borrowed | None = None,
 ) -> NewtonResult:
     """Solve `evaluate(y) = F = 0` from `y`.
 

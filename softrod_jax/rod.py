@@ -5,7 +5,6 @@ Absent parts are `None`, so the equations never see them. Of a scene in a plane 
 plane is left: two numbers for a vector and one for a turn (`restrictions.py`).
 """
 
-from typing import Optional
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -35,27 +34,27 @@ class Rod(eqx.Module):
     """
 
     L: Scalar
-    K_se: Optional[Float[Array, "3"]]
+    K_se: Float[Array, "3"] | None
     K_bt: Float[Array, "3"]
     v_star: Float[Array, "3"]
     u_star: Float[Array, "3"]
     rho_A: Scalar
     rho_J: Float[Array, "3"]
     h_base: Float[Array, "4"]
-    B_se: Optional[Float[Array, "3"]] = None
-    B_bt: Optional[Float[Array, "3"]] = None
-    C: Optional[Float[Array, "3"]] = None
-    gravity: Optional[Float[Array, "3"]] = None
-    weight: Optional[Float[Array, "3"]] = None
-    tendons: Optional[Tendons] = None
-    tau: Optional[Float[Array, "tendons"]] = None
-    front_viscosity: Optional[Scalar] = None
-    n_ch: Optional[Float[Array, "3"]] = None
-    m_ch: Optional[Float[Array, "3"]] = None
-    payload: Optional[Scalar] = None
-    F_tip: Optional[Float[Array, "3"]] = None
-    M_tip: Optional[Float[Array, "3"]] = None
-    plane: Optional[str] = eqx.field(static=True, default=None)
+    B_se: Float[Array, "3"] | None = None
+    B_bt: Float[Array, "3"] | None = None
+    C: Float[Array, "3"] | None = None
+    gravity: Float[Array, "3"] | None = None
+    weight: Float[Array, "3"] | None = None
+    tendons: Tendons | None = None
+    tau: Float[Array, "tendons"] | None = None
+    front_viscosity: Scalar | None = None
+    n_ch: Float[Array, "3"] | None = None
+    m_ch: Float[Array, "3"] | None = None
+    payload: Scalar | None = None
+    F_tip: Float[Array, "3"] | None = None
+    M_tip: Float[Array, "3"] | None = None
+    plane: str | None = eqx.field(static=True, default=None)
 
     @property
     def strain_size(self) -> int:

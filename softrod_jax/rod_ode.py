@@ -25,7 +25,7 @@ is inextensible are u alone; v is v*.
 """
 
 import functools
-from typing import NamedTuple, Optional
+from typing import NamedTuple
 
 import equinox as eqx
 import jax
@@ -130,7 +130,7 @@ class Rates(NamedTuple):
 
 
 def rod_ode(
-    s, y: Points, rod: Rod, layout: Layout, history: Optional[History], guess: Points
+    s, y: Points, rod: Rod, layout: Layout, history: History | None, guess: Points
 ) -> Rates:
     """dy/ds at arc length `s` [m], for one point or for many.
 
@@ -156,7 +156,7 @@ class Jacobian(NamedTuple):
 
 
 def rod_ode_jacobian(
-    s, y: Points, strain, rod: Rod, layout: Layout, history: Optional[History]
+    s, y: Points, strain, rod: Rod, layout: Layout, history: History | None
 ) -> Jacobian:
     """The derivative of `rod_ode` by y.
 
@@ -299,7 +299,7 @@ def _blocks(rows):
     return jnp.concatenate([jnp.concatenate(row, -1) for row in rows], -2)
 
 
-def sizes(Y: Points, rod: Rod, layout: Layout, history: Optional[History]) -> Float[Array, "n"]:
+def sizes(Y: Points, rod: Rod, layout: Layout, history: History | None) -> Float[Array, "n"]:
     """Sizes of the state's components: a bent rod's, or those of `Y` if larger."""
     rate = 1.0 if history is None else history.c0
     EI = jnp.max(rod.K_bt[:2])

@@ -5,7 +5,6 @@ differentiated. A part that is `None` is not in the scene, and nothing of it is 
 SI units. The rod lies along z of the base frame when it is straight.
 """
 
-from typing import Optional
 
 import equinox as eqx
 import jax
@@ -67,8 +66,8 @@ class Payload(eqx.Module):
 class TipLoad(eqx.Module):
     """Dead loads at the tip, in the base frame: `force` [N] and `moment` [N m], (3,) each."""
 
-    force: Optional[Float[Array, "3"]] = None
-    moment: Optional[Float[Array, "3"]] = None
+    force: Float[Array, "3"] | None = None
+    moment: Float[Array, "3"] | None = None
 
 
 class Scene(eqx.Module):
@@ -99,21 +98,21 @@ class Scene(eqx.Module):
     young_modulus: Scalar
     poisson_ratio: Scalar
     density: Scalar
-    bending_damping: Optional[Float[Array, "..."]] = None
-    shear_damping: Optional[Float[Array, "..."]] = None
-    gravity: Optional[Float[Array, "3"]] = None
-    drag_coefficient: Optional[Float[Array, "..."]] = None
-    tendons: Optional[Tendons] = None
-    chambers: Optional[Chambers] = None
-    payload: Optional[Payload] = None
-    tip_load: Optional[TipLoad] = None
-    shear_correction: Optional[Scalar] = None
-    rest_curvature: Optional[Float[Array, "3"]] = None
-    rest_stretch: Optional[Float[Array, "3"]] = None
-    base_position: Optional[Float[Array, "3"]] = None
-    base_quaternion: Optional[Float[Array, "4"]] = None
+    bending_damping: Float[Array, "..."] | None = None
+    shear_damping: Float[Array, "..."] | None = None
+    gravity: Float[Array, "3"] | None = None
+    drag_coefficient: Float[Array, "..."] | None = None
+    tendons: Tendons | None = None
+    chambers: Chambers | None = None
+    payload: Payload | None = None
+    tip_load: TipLoad | None = None
+    shear_correction: Scalar | None = None
+    rest_curvature: Float[Array, "3"] | None = None
+    rest_stretch: Float[Array, "3"] | None = None
+    base_position: Float[Array, "3"] | None = None
+    base_quaternion: Float[Array, "4"] | None = None
     inextensible: bool = eqx.field(static=True, default=False)
-    plane: Optional[str] = eqx.field(static=True, default=None)
+    plane: str | None = eqx.field(static=True, default=None)
 
     def __check_init__(self):
         if not isinstance(self.inextensible, bool):

@@ -2,8 +2,8 @@
 
 SI units. A key or a table that is absent means that the effect is not in the scene. The format
 itself is the tables of `scene_schema`; here are reading, writing and the checks that need two
-keys at once (a tendon must lie inside the section, a tube's bore be smaller than the tube, all be in
-the scene's plane).
+keys at once (a tendon must lie inside the section, a tube's bore be smaller than the tube, all be
+in the scene's plane).
 """
 
 import tomllib

@@ -1,6 +1,6 @@
 """Static equilibrium of a scene under constant actuation."""
 
-from typing import NamedTuple, Optional
+from typing import NamedTuple
 
 import equinox as eqx
 import jax
@@ -68,12 +68,12 @@ class StaticSolution(eqx.Module):
 
 def solve_static(
     scene: Scene,
-    tensions: Optional[Float[Array, "tendons"]] = None,
-    pressures: Optional[Float[Array, "chambers"]] = None,
+    tensions: Float[Array, "tendons"] | None = None,
+    pressures: Float[Array, "chambers"] | None = None,
     *,
     method: Method = Collocation(),
     newton: NewtonOptions = NewtonOptions(),
-    tolerance: Optional[float] = None,
+    tolerance: float | None = None,
     throw: bool = True,
 ) -> StaticSolution:
     """The equilibrium reached by raising all loads together from zero.

@@ -8,7 +8,7 @@ motions miss an oscillation that is faster than their steps, and lasts.
 
 import itertools
 import math
-from typing import Callable
+from collections.abc import Callable
 
 import equinox as eqx
 import jax.numpy as jnp

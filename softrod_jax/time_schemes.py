@@ -8,7 +8,7 @@ the method along the rod), so that the history is kept at the order of that meth
 import abc
 import itertools
 import math
-from typing import Callable
+from collections.abc import Callable
 
 import equinox as eqx
 import jax
