@@ -97,23 +97,19 @@ class Equations(NamedTuple):
         linear = self.method.linearise(U, *self._problem)
         Y = self.method.states(U, self.layout)
         slope = self._tip(Y).by_base_part
-        units = self.scale(U)[: self.layout.size]
-        a = self.layout.base_size
-        left, right = (B * units / units[:, None] for B in (linear.left, linear.right))
-        slope = slope * units[:a] / units[a:, None]
+        left, right = linear.left, linear.right
         if safe is not None:
             # A failed sample has no derivative: a solvable system with nothing in it.
             eye = jnp.eye(self.layout.size)
             left, right = jnp.where(safe, left, -eye), jnp.where(safe, right, eye)
             slope = jnp.where(safe, slope, 0.0)
-        return factorise(left, right, slope), units, linear.inner
+        return factorise(left, right, slope), linear.inner
 
     def correct(self, factors, F):
         """The correction -J^-1 F of the unknowns."""
-        (sweeps, units, inner), (residual, tip) = factors, F
+        (sweeps, inner), (residual, tip) = factors, F
         defect, condensed = self.method.condense(inner, residual)
-        dY = solve_sweeps(sweeps, defect / units, tip / units[self.layout.base_size :]) * units
-        return self.method.expand(inner, condensed, dY)
+        return self.method.expand(inner, condensed, solve_sweeps(sweeps, defect, tip))
 
     def scale(self, U):
         """Sizes of the unknowns, (columns,): a bent rod's, and those of the answer so far."""

@@ -140,29 +140,29 @@ class Collocation(Method):
         y, strain, _ = self._split(U, rod, layout, history)
         at = rod_ode_jacobian(self.points(rod.L), y, strain, rod, layout, history)
         A = self._by_stage(at.state)
-        eye = jnp.eye(layout.size)
-        # G_r = df_r/dY_k and df_r/dY_{k+1}, by the chain rule through the stages.
-        by_left, by_right, stages = [A[0], 0.0], [0.0, A[1]], []
+        # Beside each other what multiplies Y_k and Y_{k+1}: of stages in `moves`, and of
+        # G_r = df_r/d(Y_k, Y_{k+1}), by the chain rule through the stages.
+        eye, none = jnp.eye(layout.size), jnp.zeros_like(A[0])
+        beside = lambda a, b: jnp.concatenate([a * eye, b * eye], -1)
+        G = [jnp.concatenate([A[0], none], -1), jnp.concatenate([none, A[1]], -1)]
+        moves = []
         for A_r, x, v in zip(A[2:], formula.x, formula.v):
-            left = (1 - v) * eye + h * sum(a * G for a, G in zip(x, by_left))
-            right = v * eye + h * sum(a * G for a, G in zip(x, by_right))
-            by_left.append(A_r @ left)
-            by_right.append(A_r @ right)
-            stages.append((A_r, left, right))
-        left = -eye - h * sum(b * G for b, G in zip(formula.b, by_left))
-        right = eye - h * sum(b * G for b, G in zip(formula.b, by_right))
+            moves.append(beside(1 - v, v) + h * sum(a * G_j for a, G_j in zip(x, G)))
+            G.append(A_r @ moves[-1])
+        ends = beside(-1, 1) - h * sum(b * G_r for b, G_r in zip(formula.b, G))
         strains = None if rod.tau is None else (at.compliance, at.wrench)
-        return Linear(left, right, (h, stages, strains))
+        left, right = jnp.split(ends, 2, axis=-1)
+        return Linear(left, right, (h, A[2:], moves, strains))
 
     def condense(self, inner, residual: "_Residual"):
         """The defects between nodes once inner states and strains have been corrected."""
-        formula, (h, stages, strains) = self._formula, inner
-        df = [0.0] * (2 + len(stages))
+        formula, (h, A, _, strains) = self._formula, inner
+        df = [0.0] * (2 + len(A))
         if strains is not None:
             _, by_wrench = strains
             df = self._by_stage(-apply_each(by_wrench, residual.forces))
         dy = []
-        for r, ((A_r, _, _), x) in enumerate(zip(stages, formula.x)):
+        for r, (A_r, x) in enumerate(zip(A, formula.x)):
             dy.append(h * sum(a * df_j for a, df_j in zip(x, df)) - residual.inner[r])
             df[2 + r] = df[2 + r] + apply_each(A_r, dy[-1])
         defect = residual.defect - h * sum(b * df_r for b, df_r in zip(formula.b, df))
@@ -170,11 +170,9 @@ class Collocation(Method):
 
     def expand(self, inner, condensed, dY: Float[Array, "nodes n"]):
         """The correction of all unknowns."""
-        (_, stages, strains), (dy, forces) = inner, condensed
-        moved = [
-            dy_r + apply_each(left, dY[:-1]) + apply_each(right, dY[1:])
-            for dy_r, (_, left, right) in zip(dy, stages)
-        ]
+        (_, _, moves, strains), (dy, forces) = inner, condensed
+        ends = jnp.concatenate([dY[:-1], dY[1:]], -1)
+        moved = [dy_r + apply_each(W, ends) for dy_r, W in zip(dy, moves)]
         order = np.argsort(self._formula.c)
         body = jnp.stack([dY[:-1]] + [moved[r] for r in order], axis=1)
         dU = jnp.concatenate([body.reshape(-1, body.shape[-1]), dY[-1:]])
