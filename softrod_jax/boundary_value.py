@@ -11,6 +11,7 @@ from typing import Any, NamedTuple
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Bool, Float, Int
 
 from softrod_jax.block_sweep import factorise, has_no_conjugate_point, solve_sweeps
@@ -164,11 +165,15 @@ def solve_boundary_value(
     guess: Guess,
     search: Callable = search_directly,
     before: Any = None,
+    lend_exact: bool = False,
 ) -> Solved:
     """Solve along the rod. Differentiable in `rod` and `history`.
 
     `search(equations, options, U, before)` finds the unknowns from their guess `U`, and returns
     what `search_directly` does; `before` is whatever else it needs.
+
+    `lend_exact`: where a derivative is taken, hand on the factors at the solution, which it needs.
+    The next solve then makes none, but in reverse mode they are made twice.
 
     A sample that fails has the derivative zero. In statics it keeps its last iterate, in a
     motion it falls back to `guess`.
@@ -180,6 +185,7 @@ def solve_boundary_value(
         layout=layout,
         options=options,
         search=search,
+        lend_exact=lend_exact,
     )
     result, strain = found.result, jax.lax.stop_gradient(guess.strain)
     equations = Equations(method, layout, rod, history, strain)
@@ -207,7 +213,7 @@ def slow_unless(ok, history: History) -> History:
 
 
 @eqx.filter_custom_jvp
-def _solve(inputs, start, *, method, layout, options, search):
+def _solve(inputs, start, *, method, layout, options, search, lend_exact):
     def one(arrays):
         inputs, (guess, before) = eqx.combine(arrays, static)
         equations = Equations(method, layout, *inputs, guess.strain)
@@ -216,24 +222,26 @@ def _solve(inputs, start, *, method, layout, options, search):
     arrays, static = eqx.partition((inputs, start), eqx.is_array)
     # In lockstep a batch iterates as often as its worst sample, and its factors outgrow the
     # cache: on a CPU, one sample after the other takes a third of the time.
-    in_turn = jax.default_backend() == "cpu"
-    return (jax.custom_batching.sequential_vmap(one) if in_turn else one)(arrays)
+    return _in_turn(one)(arrays)
 
 
 @_solve.def_jvp
-def _solve_jvp(primals, tangents, *, method, layout, options, search):
+def _solve_jvp(primals, tangents, *, method, layout, options, search, lend_exact):
     inputs, (guess, before) = primals
     U, found, factors = _solve(
-        inputs, (guess, before), method=method, layout=layout, options=options, search=search
+        inputs,
+        (guess, before),
+        method=method,
+        layout=layout,
+        options=options,
+        search=search,
+        lend_exact=lend_exact,
     )
     ok = found.result == RESULTS.successful
-    dynamic, static = eqx.partition(inputs, eqx.is_inexact_array)
-    dot = jax.tree.map(
-        lambda t, x: jnp.zeros_like(x) if t is None and x is not None else t,
-        tangents[0],
-        dynamic,
-        is_leaf=lambda t: t is None,
-    )
+    # By what does not change there is no derivative, and no code for one.
+    dot, absent = tangents[0], lambda t: t is None
+    dynamic = jax.tree.map(lambda t, x: None if t is None else x, dot, inputs, is_leaf=absent)
+    static = jax.tree.map(lambda t, x: x if t is None else None, dot, inputs, is_leaf=absent)
     at = jnp.where(ok, U, Equations(method, layout, *inputs, guess.strain).start(guess))
 
     def tangent(dynamic, at, dot):
@@ -254,11 +262,47 @@ def _solve_jvp(primals, tangents, *, method, layout, options, search):
         here = equations(dynamic)
         # A failed sample has no derivative: zero keeps the rest of its batch clean.
         F_dot = jax.tree.map(lambda x: jnp.where(ok, x, 0.0), F_dot)
-        U_dot = here.correct(here.factorise(at, safe=ok), F_dot)
-        return U_dot.at[0, : layout.base_size].add(jnp.where(ok, base_dot, 0.0))
+        factors = here.factorise(at, safe=ok)
+        base_dot = jnp.where(ok, base_dot, 0.0)
+        return _follow(here, at, factors, F_dot, base_dot), factors
 
     # In reverse mode a motion keeps the unknowns of each solve, and not their Jacobian's
     # factors, which are 20 times as much.
-    U_dot = jax.checkpoint(tangent, prevent_cse=False)(dynamic, at, dot)
+    U_dot, exact = jax.checkpoint(tangent, prevent_cse=False)(dynamic, at, dot)
+    if lend_exact:
+        factors = jax.lax.stop_gradient(exact)
+        found = found._replace(contraction=jnp.zeros_like(found.contraction))
     none = jax.tree.map(lambda x: None, (found, factors))
     return (U, found, factors), (jnp.where(ok, U_dot, 0.0), *none)
+
+
+def _follow(equations: Equations, U, factors, F_dot, base_dot):
+    """How the unknowns follow a change of the equations, and of the state of the clamp."""
+    rhs, as_residual = ravel_pytree(F_dot)
+    # The state of the clamp, the first entries of U, is given.
+    a = equations.layout.base_size
+
+    def linear(x):
+        dU = jnp.concatenate([jnp.zeros(a), x]).reshape(U.shape)
+        return ravel_pytree(jax.jvp(equations.residual, (U,), (dU,))[1])[0]
+
+    def solve(factors, b):
+        return equations.correct(factors, as_residual(-b)).ravel()[a:]
+
+    def transposed(factors, b):
+        return jax.linear_transpose(lambda x: solve(factors, x), b)(b)[0]
+
+    # Several right-hand sides in lockstep take longer than in turn on a CPU.
+    x = jax.lax.custom_linear_solve(
+        linear,
+        -rhs,
+        solve=lambda _, b: _in_turn(solve)(factors, b),
+        transpose_solve=lambda _, b: _in_turn(transposed)(factors, b),
+    )
+    return jnp.concatenate([base_dot, x]).reshape(U.shape)
+
+
+def _in_turn(function: Callable) -> Callable:
+    """`function` which, on a CPU, takes the samples of a batch one after the other."""
+    on_cpu = jax.default_backend() == "cpu"
+    return jax.custom_batching.sequential_vmap(function) if on_cpu else function

@@ -174,6 +174,8 @@ def make_stepping(scene, dt, actuation, strain, substeps, scheme, method, option
                 jax.lax.stop_gradient(
                     Before(running.loads, running.rate, Borrowed(running.factors, usable))
                 ),
+                # A stage of several is so close to the next that few need new factors.
+                lend_exact=scheme.stages == 1,
             )
             found, fields = solved.found, solved.fields
             result = jnp.where(valid, found.result, RESULTS.bad_input).astype(jnp.int32)

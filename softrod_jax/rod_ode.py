@@ -166,7 +166,9 @@ def rod_ode_jacobian(
     problem = pointwise_problem(s, y, rod, history)
     C = compliance(problem, strain)
     by_wrench = f_strain / problem.k if problem.tau is None else f_strain @ C
-    return Jacobian(f_y.at[..., -rod.strain_size :].add(by_wrench), C, by_wrench)
+    n = rod.strain_size
+    state = jnp.concatenate([f_y[..., :-n], f_y[..., -n:] + by_wrench], -1)
+    return Jacobian(state, C, by_wrench)
 
 
 def pointwise_problem(s, y, rod, history):
