@@ -11,6 +11,7 @@ About 4 minutes.
 """
 
 import dataclasses
+import functools
 import time
 
 import jax
@@ -65,12 +66,21 @@ def actuation(scene):
     return tensions, pressures
 
 
-def motion(scene, tensions, pressures):
-    """A motion's tip, result and evaluations per step."""
-    rows = lambda x: None if x is None else jnp.tile(x, (STEPS, 1))
+def motion(scene, tensions, pressures, change=0.0, whole=False):
+    """A motion's tip, or all of it, its result and evaluations per step.
+
+    Inputs `change` by this part to and fro, twice in the motion.
+    """
+    wave = 1 - change * np.sin(4 * np.pi * np.arange(1, STEPS + 1) / STEPS)[:, None] ** 2
+    rows = lambda x: None if x is None else wave * x
     inputs = rows(tensions), rows(pressures)
     moved = sr.simulate(scene, DT, *inputs, steps=STEPS, throw=False)
-    return moved.tip_positions, moved.result, jnp.mean(moved.stats["iterations"])
+    out = moved if whole else moved.tip_positions
+    return out, moved.result, jnp.mean(moved.stats["iterations"])
+
+
+whole_motion = functools.partial(motion, whole=True)
+changing = functools.partial(motion, change=0.5)
 
 
 def equilibrium(scene, tensions, pressures):
@@ -85,6 +95,8 @@ def programs():
     restrictions = {"inextensible": stiff, "planar": flat, "planar, inextensible": stiff | flat}
     return {
         "everything": (motion, without()),
+        "the whole shape, not the tip alone": (whole_motion, without()),
+        "inputs that change": (changing, without()),
         **{f"no {part}": (motion, without(part)) for part in PARTS},
         # Without gravity, too, nothing would move.
         "gravity only": (motion, without(*set(PARTS) - {"gravity"})),
@@ -115,7 +127,7 @@ def count_equations(jaxpr) -> int:
 
 def count_unknowns(function, scene) -> int:
     """At each point along the rod."""
-    dynamic, method = function is motion, sr.Collocation()
+    dynamic, method = function is not equilibrium, sr.Collocation()
     rod = make_rod(scene, *actuation(scene), dynamic=dynamic)
     layout = layout_of(rod, dynamic=dynamic)
     return method.unknowns(unloaded_guess(method, layout, rod), rod).shape[1]
@@ -128,7 +140,7 @@ def main() -> None:
         traced, arguments = trace(function, scene)
         program = traced.lower().compile()
         seconds = time.perf_counter() - begin
-        tip, result, evaluations = jax.block_until_ready(program(*arguments))
+        _, result, evaluations = jax.block_until_ready(program(*arguments))
         if int(result):
             raise RuntimeError(f"{name}: {sr.result_message(int(result))}")
         compiled[name] = lambda run=program, inputs=arguments: jax.block_until_ready(run(*inputs))
@@ -141,7 +153,7 @@ def main() -> None:
             run()
             samples[name].append(time.perf_counter() - begin)
     for name, times in samples.items():
-        count = STEPS if programs()[name][0] is motion else 1
+        count = 1 if programs()[name][0] is equilibrium else STEPS
         rows[name].append(f"{1e3 * np.median(times) / count:.2g}")
     header = ["", "equations traced", "unknowns a point", "compile [s]", "evaluations a step"]
     text = table([*header, "step [ms]"], [[name, *row] for name, row in rows.items()])
