@@ -271,7 +271,8 @@ def _solve_jvp(primals, tangents, *, method, layout, options, search, lend_exact
     U_dot, exact = jax.checkpoint(tangent, prevent_cse=False)(dynamic, at, dot)
     if lend_exact:
         factors = jax.lax.stop_gradient(exact)
-        found = found._replace(contraction=jnp.zeros_like(found.contraction))
+        # 0, and in a batch one for each sample, as the contraction is.
+        found = found._replace(contraction=jnp.minimum(found.contraction, 0.0))
     none = jax.tree.map(lambda x: None, (found, factors))
     return (U, found, factors), (jnp.where(ok, U_dot, 0.0), *none)
 

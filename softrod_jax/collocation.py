@@ -139,38 +139,38 @@ class Collocation(Method):
         formula, h = self._formula, rod.L / self.intervals
         y, strain, _ = self._split(U, rod, layout, history)
         at = rod_ode_jacobian(self.points(rod.L), y, strain, rod, layout, history)
-        A = self._by_stage(at.state)
+        A = self._by_stage(h * at.state)
         # Beside each other what multiplies Y_k and Y_{k+1}: of stages in `moves`, and of
-        # G_r = df_r/d(Y_k, Y_{k+1}), by the chain rule through the stages.
+        # G_r = h df_r/d(Y_k, Y_{k+1}), by the chain rule through the stages.
         eye, none = jnp.eye(layout.size), jnp.zeros_like(A[0])
         beside = lambda a, b: jnp.concatenate([a * eye, b * eye], -1)
         G = [jnp.concatenate([A[0], none], -1), jnp.concatenate([none, A[1]], -1)]
         moves = []
         for A_r, x, v in zip(A[2:], formula.x, formula.v):
-            moves.append(beside(1 - v, v) + h * sum(a * G_j for a, G_j in zip(x, G)))
+            moves.append(beside(1 - v, v) + sum(a * G_j for a, G_j in zip(x, G)))
             G.append(A_r @ moves[-1])
-        ends = beside(-1, 1) - h * sum(b * G_r for b, G_r in zip(formula.b, G))
-        strains = None if rod.tau is None else (at.compliance, at.wrench)
+        ends = beside(-1, 1) - sum(b * G_r for b, G_r in zip(formula.b, G))
+        strains = None if rod.tau is None else (at.compliance, h * at.wrench)
         left, right = jnp.split(ends, 2, axis=-1)
-        return Linear(left, right, (h, A[2:], moves, strains))
+        return Linear(left, right, (A[2:], moves, strains))
 
     def condense(self, inner, residual: "_Residual"):
         """The defects between nodes once inner states and strains have been corrected."""
-        formula, (h, A, _, strains) = self._formula, inner
-        df = [0.0] * (2 + len(A))
+        formula, (A, _, strains) = self._formula, inner
+        df = [0.0] * (2 + len(A))  # times h
         if strains is not None:
             _, by_wrench = strains
             df = self._by_stage(-apply_each(by_wrench, residual.forces))
         dy = []
         for r, (A_r, x) in enumerate(zip(A, formula.x)):
-            dy.append(h * sum(a * df_j for a, df_j in zip(x, df)) - residual.inner[r])
+            dy.append(sum(a * df_j for a, df_j in zip(x, df)) - residual.inner[r])
             df[2 + r] = df[2 + r] + apply_each(A_r, dy[-1])
-        defect = residual.defect - h * sum(b * df_r for b, df_r in zip(formula.b, df))
+        defect = residual.defect - sum(b * df_r for b, df_r in zip(formula.b, df))
         return defect, (dy, residual.forces)
 
     def expand(self, inner, condensed, dY: Float[Array, "nodes n"]):
         """The correction of all unknowns."""
-        (_, _, moves, strains), (dy, forces) = inner, condensed
+        (_, moves, strains), (dy, forces) = inner, condensed
         ends = jnp.concatenate([dY[:-1], dY[1:]], -1)
         moved = [dy_r + apply_each(W, ends) for dy_r, W in zip(dy, moves)]
         order = np.argsort(self._formula.c)
