@@ -1,0 +1,72 @@
+"""The sweeps solve their systems, whatever parts a state has, and without pivoting."""
+
+import dataclasses
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import softrod_jax as sr
+from softrod_jax.block_sweep import factorise, solve_sweeps
+from softrod_jax.boundary_value import Equations
+from softrod_jax.rod import make_rod
+from softrod_jax.rod_ode import History, layout_of
+from softrod_jax.scene import as_arrays
+from softrod_jax.statics import unloaded_guess
+
+METHOD = sr.Collocation()
+
+
+# In motions and at rest, with and without attitude, in space and in a plane; 7 is odd.
+@pytest.mark.parametrize("n, a", [(16, 10), (12, 6), (10, 4), (7, 4), (6, 0), (2, 0)])
+def test_solves_what_it_was_given(n, a):
+    rng = np.random.default_rng(n)
+    intervals, b = 8, n - a
+    left = -np.eye(n) + 0.05 * rng.normal(size=(intervals, n, n))
+    right = np.eye(n) + 0.05 * rng.normal(size=(intervals, n, n))
+    slope, rhs = rng.normal(size=(b, a)), rng.normal(size=b)
+    defect = rng.normal(size=(intervals, n))
+    d = np.asarray(solve_sweeps(factorise(*map(jnp.asarray, (left, right, slope))), defect, rhs))
+    met = np.einsum("kij,kj->ki", left, d[:-1]) + np.einsum("kij,kj->ki", right, d[1:]) + defect
+    np.testing.assert_allclose(met, 0.0, atol=1e-10 * np.abs(d).max())
+    np.testing.assert_allclose(d[-1, a:], slope @ d[-1, :a] + rhs, atol=1e-10 * np.abs(d).max())
+    np.testing.assert_array_equal(d[0, :a], 0.0)
+
+
+@pytest.fixture(scope="module")
+def accuracies():
+    """Of corrections by the sweeps and by LAPACK, for a scene and a step in time."""
+    robot = as_arrays(sr.hybrid_robot(gravity=jnp.array([-9.81, 0.0, 0.0])))
+    spacing = float(robot.length) / (METHOD.points(1.0).shape[0] - 1)
+
+    @jax.jit
+    def measure(young_modulus, dt):
+        scene = dataclasses.replace(robot, young_modulus=young_modulus)
+        rod = make_rod(scene, jnp.array([0.1, 0.0, 0.2]), jnp.array([1e4]), spacing=spacing)
+        layout = layout_of(rod, dynamic=True)
+        guess = unloaded_guess(METHOD, layout, rod)
+        history = History(1.5 / dt, -1.5 / dt * guess.strain, jnp.zeros_like(guess.strain))
+        equations = Equations(METHOD, layout, rod, history, guess.strain)
+        U, scale = equations.start(guess), equations.scale(equations.start(guess))
+        U = U + 1e-2 * scale * jax.random.normal(jax.random.key(0), U.shape)
+        U = U.at[0, : layout.base_size].set(equations.base())
+        F = equations.residual(U)
+        step = equations.correct(equations.factorise(U), F)
+
+        flat = lambda U: jnp.concatenate([x.ravel() for x in jax.tree.leaves(equations.residual(U))])
+        J = jax.jacfwd(flat)(U).reshape(flat(U).size, -1)[:, layout.base_size :]
+        dense = -jnp.linalg.solve(J, flat(U))
+        # Both judged by the equations themselves, each in its own size.
+        size = jnp.abs(J) @ jnp.abs(dense) + jnp.abs(flat(U))
+        error = lambda x: jnp.max(jnp.abs(J @ x + flat(U)) / size)
+        return error(step.ravel()[layout.base_size :]), error(dense)
+
+    return measure
+
+
+@pytest.mark.parametrize("young_modulus", [3e4, 1e5, 1e7, 2e11])
+@pytest.mark.parametrize("dt", [1e-5, 1e-3, 5e-2])
+def test_as_good_as_a_dense_solver_with_pivoting(accuracies, young_modulus, dt):
+    by_sweeps, by_lapack = accuracies(young_modulus, dt)
+    assert by_sweeps < 3 * by_lapack
