@@ -6,6 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from jax.flatten_util import ravel_pytree
 
 import softrod_jax as sr
 from softrod_jax.block_sweep import factorise, solve_sweeps
@@ -54,7 +55,7 @@ def accuracies():
         F = equations.residual(U)
         step = equations.correct(equations.factorise(U), F)
 
-        flat = lambda U: jnp.concatenate([x.ravel() for x in jax.tree.leaves(equations.residual(U))])
+        flat = lambda U: ravel_pytree(equations.residual(U))[0]
         J = jax.jacfwd(flat)(U).reshape(flat(U).size, -1)[:, layout.base_size :]
         dense = -jnp.linalg.solve(J, flat(U))
         # Both judged by the equations themselves, each in its own size.
