@@ -34,6 +34,7 @@ SCHEMES = [  # and their time steps [ms]
     (sr.BDFAlpha(-0.45), (10, 5, 2, 1)),
     (sr.SDIRK(2), (20, 10, 5)),
     (sr.SDIRK(3), (20, 10, 5)),
+    (sr.SDIRK(3, stages=6), (25, 20, 10)),
     (sr.SDIRK(4), (20, 10, 5)),
 ]
 FINE_SCHEME, FINE_STEP = sr.SDIRK(4), 1
@@ -156,7 +157,8 @@ def _name(x) -> str:
         case sr.BDFAlpha():
             return f"BDFAlpha({x.alpha:g})"
         case sr.SDIRK():
-            return f"SDIRK({x.order})"
+            stages = "" if x == sr.SDIRK(x.order) else f", stages={x.stages}"
+            return f"SDIRK({x.order}{stages})"
         case sr.Collocation():
             return f"Collocation({x.intervals}, order={x.order})"
         case sr.Shooting():

@@ -40,6 +40,7 @@ def integrate(scheme, matrix, y0, dt, steps, start_is_jump=True):
         (sr.BDFAlpha(alpha=-0.5), 2),
         (sr.SDIRK(order=2), 2),
         (sr.SDIRK(order=3), 3),
+        (sr.SDIRK(order=3, stages=6), 3),
         (sr.SDIRK(order=4), 4),
     ],
     ids=str,
@@ -56,11 +57,11 @@ def test_order(scheme, order):
     assert scheme.order == order
 
 
-@pytest.mark.parametrize("order", [2, 3, 4])
-def test_the_local_error_falls_with_the_order(order):
+@pytest.mark.parametrize("order, stages", [(2, 2), (3, 4), (3, 6), (4, 5)])
+def test_the_local_error_falls_with_the_order(order, stages):
     """It is that of a scheme one order lower, for the fields and for their integrals."""
     matrix, y0 = jnp.array([[-0.1, 3.0], [-3.0, -0.2]]), jnp.array([1.0, 0.5])
-    scheme = sr.SDIRK(order)
+    scheme = sr.SDIRK(order, stages)
     solve = lambda c0, history, at, carry: (
         jnp.linalg.solve(matrix - c0 * jnp.eye(2), history), carry
     )
@@ -73,6 +74,20 @@ def test_the_local_error_falls_with_the_order(order):
         assert jnp.linalg.norm(y - exact) < 0.2 * sizes[-1][0]
     fall = np.log2(np.array(sizes[0]) / sizes[1])
     np.testing.assert_allclose(fall, order, atol=0.1)
+
+
+@pytest.mark.parametrize("order, stages", [(2, 2), (3, 4), (3, 6), (4, 5)])
+def test_sdirk_is_l_stable(order, stages):
+    """From the tables: |R(iy)| <= 1, no pole on the left, R = 0 at infinity; order 3 in full."""
+    A = sr.SDIRK(order, stages)._table(diagonal=True)
+    b, c = A[-1], A.sum(1)
+    conditions = [b.sum() - 1, b @ c - 1 / 2, b @ c**2 - 1 / 3, b @ A @ c - 1 / 6]
+    np.testing.assert_allclose(conditions[: 2 ** (order - 1)], 0.0, atol=1e-14)
+    y = np.logspace(-3, 5, 4001)
+    system = np.eye(stages) - 1j * y[:, None, None] * A
+    R = np.linalg.solve(system, np.ones((len(y), stages, 1)))[:, -1, 0]
+    assert np.abs(R).max() <= 1 + 1e-13
+    assert np.diag(A).min() > 0 and abs(R[-1]) < 1e-3
 
 
 @pytest.mark.parametrize(
@@ -126,7 +141,9 @@ def test_jumps():
     assert int(found[:, 0].sum()) == 1 and int(found[:, 1].sum()) >= 2
 
 
-@pytest.mark.parametrize("bad", [lambda: sr.BDFAlpha(alpha=0.1), lambda: sr.SDIRK(order=5)])
+@pytest.mark.parametrize("bad", [
+    lambda: sr.BDFAlpha(alpha=0.1), lambda: sr.SDIRK(order=5), lambda: sr.SDIRK(3, stages=5),
+])
 def test_bad_schemes(bad):
-    with pytest.raises(ValueError, match="alpha|order"):
+    with pytest.raises(ValueError, match="alpha|order|stages"):
         bad()
