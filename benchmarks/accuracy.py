@@ -12,6 +12,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from report import machine, publish, table
+from work_scenes import scheme_name
 
 import softrod_jax as sr
 
@@ -154,11 +155,8 @@ def _error(tip, answer) -> str:
 
 def _name(x) -> str:
     match x:
-        case sr.BDFAlpha():
-            return f"BDFAlpha({x.alpha:g})"
-        case sr.SDIRK():
-            stages = "" if x == sr.SDIRK(x.order) else f", stages={x.stages}"
-            return f"SDIRK({x.order}{stages})"
+        case sr.BDFAlpha() | sr.SDIRK():
+            return scheme_name(x)
         case sr.Collocation():
             return f"Collocation({x.intervals}, order={x.order})"
         case sr.Shooting():

@@ -164,7 +164,7 @@ def main() -> None:
                 taken = seconds(function, arguments)
             else:
                 taken = seconds(jax.vmap(function), rods(size, arguments)) / size
-            row += [f"{1e6 * taken:.2g}", f"{count / taken / 1e9:.1f}"]
+            row += [f"{1e6 * taken:.{1 if taken < 1e-5 else 0}f}", f"{count / taken / 1e9:.1f}"]
         rows.append(row)
         print(row, flush=True)
     header = ["", "operations [1000]"]

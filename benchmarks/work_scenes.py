@@ -17,6 +17,16 @@ REFERENCE = Path(__file__).parents[2] / "shared" / "reference"
 ACROSS, HANGING = np.array([-9.81, 0.0, 0.0]), np.array([0.0, 0.0, 9.81])  # m/s^2
 
 
+def scheme_name(scheme: sr.BDFAlpha | sr.SDIRK) -> str:
+    """As Python, without what is the default."""
+    match scheme:
+        case sr.BDFAlpha(alpha=alpha):
+            return f"BDFAlpha({alpha:g})"
+        case sr.SDIRK(order=order, stages=stages):
+            usual = stages == sr.SDIRK(order).stages
+            return f"SDIRK({order})" if usual else f"SDIRK({order}, stages={stages})"
+
+
 @dataclasses.dataclass(frozen=True)
 class Setting:
     """A method along the rod and, for motions, a scheme and a time step [ms]."""
@@ -36,13 +46,9 @@ class Setting:
                 kind = "single shooting" if segments == 1 else "shooting"
                 along = f"{kind}, {type(solver).__name__}"
         loose = ", loose Newton" if self.newton.tolerance > 1e-10 else ""
-        match self.scheme:
-            case None:
-                return f"{along}{loose}"
-            case sr.SDIRK(order=order):
-                return f"SDIRK({order}), {along}{loose}"
-            case sr.BDFAlpha(alpha=alpha):
-                return f"BDFAlpha({alpha:g}), {along}{loose}"
+        if self.scheme is None:
+            return f"{along}{loose}"
+        return f"{scheme_name(self.scheme)}, {along}{loose}"
 
     @property
     def name(self) -> str:
@@ -53,9 +59,7 @@ class Setting:
             case sr.Shooting(segments=segments, steps=steps, solver=solver):
                 parts = [f"`Shooting({segments}, {steps}, {type(solver).__name__}())`"]
         if self.scheme is not None:
-            scheme = self.scheme
-            number = scheme.order if isinstance(scheme, sr.SDIRK) else f"{scheme.alpha:g}"
-            parts = [f"`{type(scheme).__name__}({number})`, {self.step:.3g} ms", *parts]
+            parts = [f"`{scheme_name(self.scheme)}`, {self.step:.3g} ms", *parts]
         if self.newton.tolerance > 1e-10:
             parts.append(f"Newton to {self.newton.tolerance:.0e}".replace("e-0", "e-"))
         return ", ".join(parts)
@@ -194,6 +198,8 @@ def _gravity():
             *_grid(SDIRK(3), (2.5, 12), (2, 14)),
             *_grid(SDIRK(3), (20, 3), (20, 4), (_THIRD, 5), (_THIRD, 6), (10, 6), newton=_LOOSE),
             *_grid(SDIRK(3), (5, 8), (4, 10), newton=_LOOSE),
+            *_grid(SDIRK(3, stages=6), (40, 3), (20, 5), (_THIRD, 6), (10, 8)),
+            *_grid(SDIRK(3, stages=6), (40, 3), (20, 5), (_THIRD, 6), (10, 8), newton=_LOOSE),
             *_grid(SDIRK(2), (40, 3), (20, 3), (10, 4), (5, 5), (2.5, 6)),
             *_grid(BDF(-0.45), (20, 3), (10, 3), (5, 4), (2, 6), (1, 8)),
             *_grid(BDF(-0.2), (10, 3), (5, 4), (2, 6), (1, 8)),

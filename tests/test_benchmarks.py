@@ -3,11 +3,14 @@
 import sys
 from pathlib import Path
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "benchmarks"))
 
+import limits  # noqa: E402
 import skip  # noqa: E402
 import work_precision  # noqa: E402
 import work_scenes  # noqa: E402
@@ -60,3 +63,14 @@ def test_absent_parts_are_not_in_the_program():
     assert unknowns["inextensible"] == 19 and unknowns["inextensible, static"] == 13
     assert unknowns["planar"] == 10 and unknowns["planar, static"] == 7
     assert unknowns["planar, inextensible"] == 8 and unknowns["planar, inextensible, static"] == 5
+
+
+def test_operations_are_counted():
+    x, count = jnp.ones((3, 4)), lambda f, *a: limits.operations(jax.make_jaxpr(f)(*a).jaxpr)
+    assert count(lambda x: x @ jnp.ones((4, 5)), x) == 2 * 3 * 4 * 5
+    assert count(lambda x: jnp.sin(x) + x, x) == 24
+    assert count(lambda x: x.T.reshape(2, 6), x) == 0
+    twice = lambda x: jax.lax.fori_loop(0, 7, lambda _, x: 2 * x, x)
+    assert count(jax.jit(twice), x) == 7 * 12
+    with pytest.raises(ValueError, match="while"):
+        count(lambda x: jax.lax.while_loop(lambda x: x[0, 0] < 1, lambda x: 2 * x, x), x)
