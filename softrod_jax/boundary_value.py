@@ -26,12 +26,20 @@ from softrod_jax.rod_ode import History, Layout, sizes, tip_condition
 _VANISHING_PATH = 0.02
 
 
+def loads_of(rod: Rod) -> list:
+    """Those that there are of tensions, pressures, gravity and tip loads."""
+    every = rod.tau, rod.n_ch, rod.m_ch, rod.gravity, rod.weight, rod.F_tip, rod.M_tip
+    return [x for x in every if x is not None]
+
+
+def with_loads(rod: Rod, loads: list) -> Rod:
+    """The rod under other loads, as `loads_of` has them."""
+    return eqx.tree_at(loads_of, rod, loads)
+
+
 def scaled_loads(rod: Rod, factor) -> Rod:
-    """The rod with tensions, pressures, gravity and tip loads times `factor`."""
-    names = ("tau", "n_ch", "m_ch", "gravity", "weight", "F_tip", "M_tip")
-    present = [name for name in names if getattr(rod, name) is not None]
-    pick = lambda r: [getattr(r, name) for name in present]
-    return eqx.tree_at(pick, rod, [factor * x for x in pick(rod)])
+    """The rod with all its loads times `factor`."""
+    return with_loads(rod, [factor * x for x in loads_of(rod)])
 
 
 class Found(NamedTuple):

@@ -12,11 +12,16 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from softrod_jax.boundary_value import Equations, Found, search_directly
+from softrod_jax.boundary_value import (
+    Equations,
+    Found,
+    loads_of,
+    search_directly,
+    with_loads,
+)
 from softrod_jax.method import Guess
 from softrod_jax.newton import Borrowed, NewtonOptions
 from softrod_jax.results import RESULTS
-from softrod_jax.rod import Rod
 from softrod_jax.rod_ode import History
 
 # The way: up to 1 the part of the step, from there to 2 the part of the change of the loads.
@@ -30,9 +35,9 @@ _AHEAD = 0.1
 
 
 class Before(NamedTuple):
-    """The rod under the loads that a step comes from, its strains' rates, the last factors."""
+    """The loads that a step comes from, the strains' rates there, the last factors."""
 
-    loads: Rod
+    loads: list
     rate: Float[Array, "points 6"]
     borrowed: Borrowed
 
@@ -55,9 +60,11 @@ def search_by_inertia(equations: Equations, options: NewtonOptions, U, before: B
     `Found.load_steps` counts the parts; ordinary steps take one.
     """
 
+    loads = loads_of(equations.rod)
+
     def at_once(state):
         """The whole step: its history and loads, and the guess."""
-        return equations.history, equations.rod, state.U
+        return equations.history, loads, state.U
 
     def on_the_way(state):
         """The step as far as the next try goes."""
@@ -75,15 +82,15 @@ def search_by_inertia(equations: Equations, options: NewtonOptions, U, before: B
         # c (y - held) + the rate at `held`: with c = c0 the step itself.
         c = c0 / part
         history = History(c, strain_h + (c0 - c) * strain, velocity_h + (c0 - c) * velocity)
-        rod = jax.tree.map(lambda a, b: change * a + (1 - change) * b, equations.rod, before.loads)
+        between = [change * a + (1 - change) * b for a, b in zip(loads, before.loads)]
         moving = equations.start(Guess(held.y, strain))
-        return history, rod, jnp.where(state.done == 0.0, moving, state.U)
+        return history, between, jnp.where(state.done == 0.0, moving, state.U)
 
     def attempt(state):
         at = jnp.minimum(_GOAL, state.done + state.advance)
         # Nothing is computed for what an ordinary step does not need.
-        history, rod, start = jax.lax.cond(state.tries == 0, at_once, on_the_way, state)
-        problem = equations._replace(history=history, rod=rod)
+        history, now, start = jax.lax.cond(state.tries == 0, at_once, on_the_way, state)
+        problem = equations._replace(history=history, rod=with_loads(equations.rod, now))
         borrowed = Borrowed(state.factors, before.borrowed.usable & (state.tries == 0))
         new, found, factors = search_directly(problem, options, start, borrowed)
         ok = found.result == RESULTS.successful

@@ -15,6 +15,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from softrod_jax.boundary_value import (
     Equations,
+    loads_of,
     scaled_loads,
     slow_unless,
     solve_boundary_value,
@@ -82,13 +83,13 @@ class March(NamedTuple):
 class Running(NamedTuple):
     """What a substep hands to the next, besides the memory of the time scheme.
 
-    `loads`: the rod under those of the last solve; `rate`: that of the strains there; `factors`
+    `loads`: those of the last solve; `rate`: that of the strains there; `factors`
     of the last Jacobian, made with `c0`. `part`: the length of the next substep, in steps,
     where errors choose it.
     """
 
     guess: Guess
-    loads: Rod
+    loads: list
     rate: Float[Array, "points 6"]
     factors: Any
     c0: Float[Array, ""]
@@ -184,7 +185,7 @@ def make_stepping(scene, dt, actuation, strain, substeps, scheme, method, option
             # derivatives to carry along.
             running = running._replace(
                 guess=jax.lax.stop_gradient(Guess(fields.y, fields.strain)),
-                loads=jax.lax.stop_gradient(rod),
+                loads=jax.lax.stop_gradient(loads_of(rod)),
                 rate=jax.lax.stop_gradient(c0 * fields.strain + history.strain),
                 factors=solved.factors,
                 c0=jnp.where(found.contraction < _LEND, c0, 0.0),
@@ -283,7 +284,7 @@ def make_stepping(scene, dt, actuation, strain, substeps, scheme, method, option
         equations = Equations(method, layout, rod, at_rest, guess.strain)
         running = Running(
             guess,
-            scaled_loads(rod, 0.0),
+            loads_of(scaled_loads(rod, 0.0)),
             steady,
             no_factors(equations.factorise, equations.start(guess)),
             none,
