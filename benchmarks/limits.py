@@ -21,8 +21,8 @@ jax.config.update("jax_enable_x64", True)
 
 import jax.numpy as jnp
 import numpy as np
-from jax.extend.core import ClosedJaxpr, Jaxpr
 from report import machine, publish, table
+from skip import programs_inside
 
 import softrod_jax as sr
 from softrod_jax.boundary_value import Equations
@@ -46,11 +46,7 @@ def operations(jaxpr) -> int:
     """Of a traced program. Loops must have a known number of passes."""
     count = 0
     for equation in jaxpr.eqns:
-        inner = [
-            x.jaxpr if isinstance(x, ClosedJaxpr) else x
-            for x in jax.tree.leaves(equation.params, is_leaf=lambda x: isinstance(x, Jaxpr))
-            if isinstance(x, ClosedJaxpr | Jaxpr)
-        ]
+        inner = programs_inside(equation)
         name, shape = equation.primitive.name, equation.outvars[0].aval.shape
         if name == "while":
             raise ValueError("operations: how often a `while` loop runs is not known")
@@ -172,8 +168,10 @@ def main() -> None:
     for size in options.sizes:
         header += [f"{size} rod{'s' * (size > 1)} [us]", "[Gop/s]"]
     can = "; ".join(f"{what}: {x / 1e9:.0f} G{unit}" for what, (x, unit) in most().items())
+    _, (_, factors, _) = parts()["correction"]
+    kept = f"The factors of a rod: {sum(x.nbytes for x in jax.tree.leaves(factors)) / 1e6:.2f} MB."
     where = f"{machine()}, `{jax.devices()[0].device_kind}`"
-    publish("limits", f"{table(header, rows)}\n\nAt most: {can}. {where}.")
+    publish("limits", f"{table(header, rows)}\n\n{kept} At most: {can}. {where}.")
     if options.profile:
         profile(options.profile, max(options.sizes))
 

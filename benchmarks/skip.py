@@ -118,11 +118,15 @@ def trace(function, scene):
 
 def count_equations(jaxpr) -> int:
     """Of a program and of all programs inside it, each once wherever it is written."""
-    if isinstance(jaxpr, ClosedJaxpr):
-        jaxpr = jaxpr.jaxpr
-    inner = [x for equation in jaxpr.eqns for x in jax.tree.leaves(list(equation.params.values()))]
-    programs = [x for x in inner if isinstance(x, Jaxpr | ClosedJaxpr)]
-    return len(jaxpr.eqns) + sum(map(count_equations, programs))
+    inside = [x for equation in jaxpr.eqns for x in programs_inside(equation)]
+    return len(jaxpr.eqns) + sum(map(count_equations, inside))
+
+
+def programs_inside(equation) -> list[Jaxpr]:
+    """Those that an equation of a traced program calls, or repeats."""
+    found = jax.tree.leaves(list(equation.params.values()))
+    opened = [x.jaxpr if isinstance(x, ClosedJaxpr) else x for x in found]
+    return [x for x in opened if isinstance(x, Jaxpr)]
 
 
 def count_unknowns(function, scene) -> int:

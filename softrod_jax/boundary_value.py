@@ -234,17 +234,10 @@ def _solve(inputs, start, *, method, layout, options, search, lend_exact):
 
 
 @_solve.def_jvp
-def _solve_jvp(primals, tangents, *, method, layout, options, search, lend_exact):
-    inputs, (guess, before) = primals
-    U, found, factors = _solve(
-        inputs,
-        (guess, before),
-        method=method,
-        layout=layout,
-        options=options,
-        search=search,
-        lend_exact=lend_exact,
-    )
+def _solve_jvp(primals, tangents, **settings):
+    inputs, (guess, _) = primals
+    U, found, factors = _solve(*primals, **settings)
+    method, layout = settings["method"], settings["layout"]
     ok = found.result == RESULTS.successful
     # By what does not change there is no derivative, and no code for one.
     dot, absent = tangents[0], lambda t: t is None
@@ -277,7 +270,7 @@ def _solve_jvp(primals, tangents, *, method, layout, options, search, lend_exact
     # In reverse mode a motion keeps the unknowns of each solve, and not their Jacobian's
     # factors, which are 20 times as much.
     U_dot, exact = jax.checkpoint(tangent, prevent_cse=False)(dynamic, at, dot)
-    if lend_exact:
+    if settings["lend_exact"]:
         factors = jax.lax.stop_gradient(exact)
         # 0, and in a batch one for each sample, as the contraction is.
         found = found._replace(contraction=jnp.minimum(found.contraction, 0.0))

@@ -1,0 +1,68 @@
+"""What the tests of the command line share: a directory with scenes, and a solver to ask."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+import softrod_jax as sr
+from calibration.cli import common
+from calibration.cli.main import main
+
+CHAMBER = """
+[rod]
+length = 0.1
+section = { shape = "circle", radius = 6e-3 }
+young_modulus = 5.0e4
+poisson_ratio = 0.49
+density = 1070.0
+bending_damping = 1e-6
+[[chambers]]
+area = 7e-6
+offset = [3e-3, 0.0]
+"""
+
+
+@pytest.fixture(autouse=True)
+def in_a_directory_of_its_own(tmp_path, monkeypatch):
+    """Commands run in `tmp_path`; JAX's cache stays as the tests have it."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(common, "prepare_jax", lambda: None)
+    for command in ("solve", "simulate", "plot", "calibrate", "doctor"):
+        monkeypatch.setattr(f"calibration.cli.{command}.prepare_jax", lambda: None)
+    (tmp_path / "chamber.toml").write_text(CHAMBER)
+    sr.save_scene(sr.hybrid_robot(), tmp_path / "robot.toml")
+
+
+@pytest.fixture
+def asked(monkeypatch):
+    """A solver that moves nothing, and what it was asked: tests of the command, not of the rod."""
+    asked = SimpleNamespace(static=None, motion=None, static_result=0, failed_step=-1)
+
+    def solve_static(scene, tensions=None, pressures=None, *, throw):
+        asked.static = SimpleNamespace(tensions=tensions, pressures=pressures)
+        stats = {"residual": np.array(np.nan), "iterations": np.array(3)}
+        return SimpleNamespace(result=np.array(asked.static_result), stats=stats)
+
+    def simulate(scene, *, throw, **inputs):
+        asked.motion = SimpleNamespace(**inputs)
+        ts = inputs["dt"] * np.arange(inputs["steps"] + 1)
+        return SimpleNamespace(
+            ts=ts,
+            tip_positions=np.stack([0.01 * ts, 0 * ts, 0.1 + 0 * ts], axis=1),
+            result=np.array(0 if asked.failed_step < 0 else 2),
+            failed_step=np.array(asked.failed_step),
+            stats={"time_error": np.full(inputs["steps"], 1e-5)},
+        )
+
+    monkeypatch.setattr(sr, "solve_static", solve_static)
+    monkeypatch.setattr(sr, "simulate", simulate)
+    return asked
+
+
+def run(capsys, *argv):
+    """Exit status, stdout and stderr of `softrod *argv`."""
+    capsys.readouterr()
+    status = main([str(x) for x in argv])
+    captured = capsys.readouterr()
+    return status, captured.out, captured.err
