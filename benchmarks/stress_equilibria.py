@@ -1,26 +1,13 @@
-"""Random equilibria far beyond the ordinary, each judged by an independent solver.
+"""The equilibria of the stress test: solved, judged by an independent solver, and counted.
 
-    python benchmarks/stress_equilibria.py [--count 2000] [--seed 0] [--judge 2000]
-        [--processes 2] [--rows FILE] [--only K,K,..]
-
-Length 0.02 to 1 m, slenderness L/r 9 to 1000, Young's modulus 1e4 to 2e11 Pa, solid, hollow and
-rectangular sections, in space and in a plane, with stretch and without. Of seven kinds, each has
-one large load: weight rho A g L^3/EI or a payload's to 1e4, tip forces to P L^2/EI = 1e4, tip
-moments to 80 EI/L with any axis, rest curvature and twist of ten turns, tensions up to 90 % of
-where a path vanishes and pressures; or all of them. Strains stay below a half, as in a real rod.
-
-Each scene is solved as a user would, without any option, and once more under `jit`, on the default
-grid. The first --judge are compared with `judge_static.py`, which starts from the answer; the rest
-with `Collocation(96)`. What counts: the error against the estimate, and what is called successful
-and is not. --rows keeps each scene's row in a file, and a later run goes on from there.
+The scenes are drawn in `stress_scenes.py`, which says what they span. Each is solved as a user
+would, without any option, and once more under `jit`, on the default grid. Answers are compared with
+`judge_static.py`, which starts from them; without a judge, with `Collocation(96)`. What counts: the
+estimate against the error, and what is called successful and is not.
 """
 
-import argparse
-import json
-import multiprocessing
 import time
 from collections import Counter
-from pathlib import Path
 
 import jax
 
@@ -29,130 +16,14 @@ jax.config.update("jax_enable_x64", True)
 import judge_rod
 import judge_static
 import numpy as np
-from report import machine, table
+from report import table
+from stress_scenes import KINDS, random_equilibrium
 
 import softrod_jax as sr
-from softrod_jax.scene import as_arrays
 
-KINDS = "heavy", "payload", "force", "moment", "coil", "robot", "mixed"
-STRUCTURES = "circle", "annulus", "rectangle", "plane", "inextensible"
 WRONG, SEEN, FACTOR = 1e-2, 1e-5, 3.0
 # An answer that is this far from what the judge found may be nearer to something else.
 ANOTHER = 0.05
-LARGEST, STRAIN, MOMENT, TURNS = 1e4, 0.3, 80.0, 10.0
-
-
-class Draw:
-    """Random numbers of one scene; those of a scene in a plane are in that plane."""
-
-    def __init__(self, rng, planar):
-        self.rng, self.planar = rng, planar
-
-    def log(self, low, high):
-        return float(np.exp(self.rng.uniform(np.log(low), np.log(max(low, high)))))
-
-    def maybe(self, part, value):
-        return value if self.rng.random() < part else 0.0
-
-    def direction(self):
-        x = self.rng.normal(size=3) * np.array([1.0, not self.planar, 1.0])
-        return x / np.linalg.norm(x)
-
-    def axis(self):
-        """Of a turn: any, or nearly the rod's own, which twists it."""
-        if self.planar:
-            return np.array([0.0, self.rng.choice([-1.0, 1.0]), 0.0])
-        slant = np.array([1.0, 1.0, 1.0]) if self.rng.random() < 0.5 else np.array([0.1, 0.1, 1.0])
-        x = self.rng.normal(size=3) * slant
-        return x / np.linalg.norm(x)
-
-    def offsets(self, count, low, high):
-        size = self.rng.uniform(low, high)
-        if self.planar:
-            return size * np.stack([np.array([1, -1, 0.5])[:count], np.zeros(count)], 1)
-        angle = self.rng.uniform(0, 2 * np.pi) + 2 * np.pi / 3 * np.arange(count)
-        return size * np.stack([np.cos(angle), np.sin(angle)], 1)
-
-
-def random_section(draw, structure, r):
-    if structure == "annulus":
-        return sr.Annulus(r, draw.rng.uniform(0.3, 0.9) * r)
-    if structure == "rectangle":
-        return sr.Rectangle(*(2 * r * draw.rng.uniform(0.3, 1.0, 2)))
-    return sr.Circle(r)
-
-
-def random_loads(draw, kind, slenderness, limit):
-    """Sizes in units of EI and L. What the kind is about is large, other loads are now and then."""
-    wide = lambda high: draw.log(1.0, high)
-    size = {
-        "heavy": draw.maybe(0.3, draw.log(1e-2, 10)),
-        "payload": draw.maybe(0.2, draw.log(1e-2, 10)),
-        "force": draw.maybe(0.3, draw.log(1e-2, 10)),
-        "moment": draw.maybe(0.3, draw.log(1e-2, 5)),
-        "coil": 2 * np.pi * draw.maybe(0.2, draw.log(1e-2, 0.5)),
-    }
-    bend = 0.5 * slenderness
-    largest = {
-        "heavy": min(LARGEST, limit),
-        "payload": min(LARGEST, limit),
-        "force": min(LARGEST, limit),
-        "moment": min(MOMENT, bend),
-        "coil": min(2 * np.pi * TURNS, bend),
-    }
-    for name, high in largest.items():
-        if kind == name or (kind == "mixed" and draw.rng.random() < 0.4):
-            size[name] = wide(high)
-    return size
-
-
-def random_equilibrium(rng):
-    """A scene, its tensions and pressures (or None), and the numbers that it was drawn with."""
-    kind = str(rng.choice(KINDS))
-    structure = str(rng.choice(STRUCTURES, p=[0.35, 0.15, 0.15, 0.175, 0.175]))
-    draw = Draw(rng, structure == "plane")
-    L, slenderness = draw.log(0.02, 1.0), draw.log(9, 1000)
-    E, density, nu = draw.log(1e4, 2e11), draw.log(900, 8000), rng.uniform(0.0, 0.49)
-    r = L / slenderness
-    section = random_section(draw, structure, r)
-    area, I, _ = judge_rod.section_numbers(section)
-    EI, EA = E * np.min(I), E * area
-    size = random_loads(draw, kind, slenderness, STRAIN * EA * L**2 / EI)
-    # A payload needs gravity; its mass is what its weight asks for.
-    weight = max(size["heavy"], 1e-2 if size["payload"] else 0.0)
-    gravity = weight * EI / (density * area * L**3)
-    mass = size["payload"] * EI / L**2 / gravity if size["payload"] else 0.0
-    tensions, pressures, part, parts = None, None, 0.0, {}
-    if kind == "robot" or (kind == "mixed" and rng.random() < 0.4):
-        offsets = draw.offsets(3, 0.1 * r, 0.5 * r)
-        offset = np.max(np.linalg.norm(offsets, axis=1))
-        most = 1 / (1 / EA + offset**2 / EI)
-        part = draw.maybe(0.9, rng.uniform(0, 0.9))
-        part = min(part, 3 * 2 * np.pi * EI / (L * offset) / most)
-        tensions = part * most * rng.dirichlet(np.ones(3) * 0.5)
-        pressures = np.array([draw.maybe(0.5, draw.log(1e-3, 0.1)) * EA / (0.1 * area)])
-        chambers = sr.Chambers(np.array([0.1 * area]), draw.offsets(1, 0.0, 0.2 * r))
-        parts = {"tendons": sr.Tendons(offsets), "chambers": chambers}
-    scene = as_arrays(
-        sr.Scene(
-            length=L,
-            section=section,
-            young_modulus=E,
-            poisson_ratio=nu,
-            density=density,
-            gravity=gravity * draw.direction(),
-            payload=sr.Payload(mass),
-            tip_load=sr.TipLoad(
-                size["force"] * EI / L**2 * draw.direction(), size["moment"] * EI / L * draw.axis()
-            ),
-            rest_curvature=size["coil"] / L * draw.axis(),
-            inextensible=structure == "inextensible",
-            plane="xz" if draw.planar else None,
-            **parts,
-        )
-    )
-    numbers = {"kind": kind, "structure": structure, "slenderness": slenderness, "E": E}
-    return scene, tensions, pressures, {**numbers, **size, "tension": part}
 
 
 @jax.jit
@@ -219,9 +90,8 @@ def measured(answer, truth):
     }
 
 
-def one(task):
+def one(seed, k, judged):
     """The row of one scene: {what: a number or a name}."""
-    seed, k, judged = task
     *case, numbers = random_equilibrium(np.random.default_rng([seed, k]))
     times = []
     for _ in range(2):  # the first may compile
@@ -240,16 +110,10 @@ def one(task):
         "judge": "; ".join(truth.starts) or "none",
         "judge_error": truth.own,
         "judge_time": time.perf_counter() - begin,
+        "judged": judged,
         **numbers,
+        "load": max(numbers[name] for name in ("heavy", "payload", "force", "moment", "coil")),
     }
-
-
-def run(tasks, processes):
-    if processes == 1:
-        yield from map(one, tasks)
-        return
-    with multiprocessing.get_context("spawn").Pool(processes) as pool:
-        yield from pool.imap_unordered(one, tasks, chunksize=2)
 
 
 def is_solved(row, of=""):
@@ -307,7 +171,8 @@ def summary(rows) -> str:
         lines.append([f"**{name}**", *counts(rows, of)])
         for kind in KINDS:
             here = [row for row in rows if row["kind"] == kind]
-            lines.append([kind, *counts(here, of)] if here else [kind])
+            if here:
+                lines.append([kind, *counts(here, of)])
     times = [row["time"] for row in rows]
     more = sum(row["intervals"] > row["grid_intervals"] for row in rows)
     own = max(row["judge_error"] for row in rows)
@@ -360,37 +225,7 @@ def worst(rows, of="", count=30) -> str:
     return table(header, lines)
 
 
-def main():
-    parser = argparse.ArgumentParser()
-    parser.add_argument("--count", type=int, default=2000)
-    parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--judge", type=int, default=2000)
-    parser.add_argument("--processes", type=int, default=2)
-    parser.add_argument("--rows", type=Path)
-    parser.add_argument("--only", type=lambda text: [int(k) for k in text.split(",")])
-    options = parser.parse_args()
-    rows, begin = [], time.perf_counter()
-    if options.rows and options.rows.exists():
-        rows = [json.loads(line) for line in options.rows.read_text().splitlines()]
-    done = {row["scene"] for row in rows}
-    scenes = options.only or range(options.count)
-    tasks = [(options.seed, k, k < options.judge) for k in scenes if k not in done]
-    for row in run(tasks, options.processes):
-        rows.append(row)
-        if options.rows:
-            with options.rows.open("a") as file:
-                file.write(json.dumps(row) + "\n")
-        elif options.only:
-            print(json.dumps(row))
-    print(f"{(time.perf_counter() - begin) / 60:.1f} min, seed {options.seed}\n")
-    for title, text in (
-        ("", summary(rows)),
-        ("As called", worst(rows)),
-        ("Under jit", worst(rows, "grid_")),
-    ):
-        print(f"{title}\n\n{text}\n")
-    print(machine())
-
-
-if __name__ == "__main__":
-    main()
+def details(rows) -> str:
+    """Counts by kind of scene, and the worst, as called and under `jit`."""
+    under_jit = worst(rows, "grid_")
+    return f"{summary(rows)}\n\nAs called:\n\n{worst(rows)}\n\nUnder jit:\n\n{under_jit}\n"

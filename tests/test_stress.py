@@ -9,15 +9,13 @@ import pytest
 sys.path.insert(0, str(Path(__file__).parents[1] / "benchmarks"))
 
 import stress  # noqa: E402
+import stress_equilibria  # noqa: E402
+import stress_scenes  # noqa: E402
 
 
 @pytest.mark.long
-@pytest.mark.parametrize(
-    "kind, scenes", [("equilibrium", range(2, 42, 2)), ("motion", range(3, 43, 4))]
-)
-def test_solved_and_right(kind, scenes):
-    rows = [stress.one((0, k)) for k in scenes]
-    assert {row["kind"] for row in rows} == {kind}
+def test_motions_are_solved_and_right():
+    rows = [stress.one(("motion", 0, k, False)) for k in range(3, 43, 4)]
     assert [row["scene"] for row in rows if not stress.is_solved(row)] == []
     assert [row["scene"] for row in rows if stress.is_wrong(row)] == []
     assert [row["scene"] for row in rows if not stress.is_confirmed(row)] == []
@@ -25,12 +23,26 @@ def test_solved_and_right(kind, scenes):
 
 
 def test_a_wrong_answer_would_be_seen():
-    row = {"result": "successful", "refined": "successful", "error": 0.02}
+    row = {"what": "motion", "result": "successful", "refined": "successful", "error": 0.02}
     assert stress.is_wrong(row) and not stress.is_wrong({**row, "error": 0.001})
     assert stress.is_remarkable(row | {"time": 0.0})
     assert not stress.is_solved({"result": "diverged"})
+    row = {"what": "equilibrium", "result": "successful", "estimate": 0.01, "error": 0.02}
+    assert stress.is_wrong(row) and not stress.is_wrong({**row, "error": 0.001})
+    assert stress.is_wrong({**row, "error": np.nan})  # near no equilibrium at all
+    assert not stress.is_wrong({**row, "result": "inaccurate"})
+
+
+def test_an_estimate_that_flatters_would_be_seen():
+    row = {"estimate": 1e-5, "error": 4e-5}
+    assert stress_equilibria.is_flattering(row)
+    assert not stress_equilibria.is_flattering({**row, "estimate": 2e-5})
+    assert not stress_equilibria.is_flattering({**row, "error": 9e-6, "estimate": 0.0})
+    assert stress_equilibria.is_flattering({**row, "estimate": np.nan})
 
 
 def test_scenes_depend_on_the_seed_alone():
-    draw = lambda: stress.random_scene(np.random.default_rng([0, 3]), "motion")
+    draw = lambda: stress.random_scene(np.random.default_rng([0, 3]))
+    assert draw()[-1] == draw()[-1]
+    draw = lambda: stress_scenes.random_equilibrium(np.random.default_rng([0, 3]))
     assert draw()[-1] == draw()[-1]
