@@ -8,7 +8,7 @@ from importlib import import_module
 _HOME = {
     "Recording": "calibration.recording",
     "RecordingError": "calibration.recording",
-    "load_recording": "calibration.recording",
+    "load_recording": "calibration.loading",
     "write_log": "calibration.recording",
     "detect_onset": "calibration.onset",
     "calibrate": "calibration.fit",

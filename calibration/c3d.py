@@ -9,17 +9,15 @@ which axis runs along the rod, and when the rod was let go. This reader takes
   scene's straight tip. Only displacements are therefore measured.
 """
 
-import subprocess
-import sys
 from os import PathLike
 from pathlib import Path
 
 import numpy as np
 
-from calibration.frames import axes_matrix, rest_samples, straight_tip
-from calibration.recording import Recording, RecordingError, check_reach
-
-_METRES = {"m": 1.0, "cm": 1e-2, "mm": 1e-3}
+from calibration.c3d_points import Points, length_unit, read_points
+from calibration.frames import axes_matrix, check_one_body, rest_samples, straight_tip
+from calibration.plausible import Source, check_reach
+from calibration.recording import Recording, RecordingError
 
 
 def read_c3d(
@@ -38,23 +36,35 @@ def read_c3d(
       bends; `None` takes the tip alone.
     - `axes`: which axes of the file are the scene's x, y and z, such as "-y,x,z".
 
-    A frame in which any of these markers is missing is a missing sample.
+    A frame in which any of these markers is missing, or at exactly (0, 0, 0), is a missing sample.
 
     Raises `RecordingError` if ezc3d is not installed, the file cannot be read, markers, unit
-    or rate are not there, or the recording does not begin with the rod at rest.
+    or rate are not there, two markers have one label or are not on one body, or the recording does
+    not begin with the rod at rest.
     """
     if scene is None:
         raise RecordingError(f"{path}: a C3D does not say where the clamp is: give the scene")
     rotation = axes_matrix(axes, f"{path}: ")
-    points, labels, unit, rate, promised = read_points(path)
-    tip_columns = _find(labels, tip_markers)
+    file = read_points(path)
+    labels = file.labels
+    tip_columns, notes = _find(path, file, tip_markers, "tip_markers")
     if not tip_columns:
+        others = f" (not positions: {', '.join(file.kinds)})" if file.kinds else ""
         raise RecordingError(
             f"{path}: no marker's label begins with {tip_markers!r} (tip_markers); the file has "
-            f"{', '.join(labels)}"
+            f"{', '.join(x for x in labels if x not in file.kinds)}{others}"
         )
-    base_columns = [] if base_markers is None else _find(labels, base_markers)
-    points = unit * points @ rotation.T
+    if file.rate is None:
+        raise RecordingError(f"{path}: POINT:RATE is missing, expected a number above 0 [Hz]")
+    base_columns = []
+    if base_markers is not None:
+        base_columns, others = _find(path, file, base_markers, "base_markers")
+        notes += others
+        # Always at the origin: it was never seen, or marks it. Either way it does not move.
+        base_columns = [j for j in base_columns if np.any(file.positions[:, j])]
+    points = length_unit(path, file.unit) * file.positions @ rotation.T
+    for columns in (tip_columns, base_columns):
+        check_one_body(path, points[:, columns], [labels[j] for j in columns], scene)
     tip = np.mean(points[:, tip_columns], axis=1)
     clamp = np.mean(points[:, base_columns], axis=1) if base_columns else np.zeros_like(tip)
     known = np.all(np.isfinite(tip + clamp), axis=1)
@@ -68,12 +78,11 @@ def read_c3d(
     rest = rest_samples(tip[known], path)
     clamp_moved = clamp - np.median(clamp[known][:rest], axis=0)
     tip = tip - np.median(tip[known][:rest], axis=0) - clamp_moved
-    notes = [
+    notes += [
         f"tip = mean of the markers {', '.join(labels[j] for j in tip_columns)}",
         f"origin: the median of the tip over {rest} samples at rest is the scene's straight tip",
+        *file.notes,
     ]
-    if len(points) < promised:
-        notes.append(f"the file ends early: {len(points)} of {promised} frames")
     if base_columns:
         largest = 1e3 * np.nanmax(np.linalg.norm(clamp_moved, axis=1))
         notes.append(
@@ -81,7 +90,7 @@ def read_c3d(
             f"{', '.join(labels[j] for j in base_columns)})"
         )
     recording = Recording(
-        times=np.arange(len(tip)) / rate,
+        times=np.arange(len(tip)) / file.rate,
         tensions=None,
         pressures=None,
         tip_positions=tip + straight_tip(scene),
@@ -90,73 +99,44 @@ def read_c3d(
         origin_known=False,
         notes=tuple(notes),
     )
-    check_reach(recording, scene, [f"frame {k + 1}" for k in range(len(tip))])
+    source = Source(
+        [f"frame {k + 1}" for k in range(len(tip))],
+        f"markers {', '.join(labels[j] for j in tip_columns)}",
+        unit="POINT:UNITS",
+        origin=None,
+    )
+    check_reach(recording, scene, source)
     return recording
 
 
-def read_points(path) -> tuple[np.ndarray, list[str], float, float, int]:
-    """Markers (frames, markers, 3), labels, unit [m], rate [Hz] and the frames promised.
+def _find(path, file: Points, beginnings: str, option: str) -> tuple[list[int], list[str]]:
+    """The positions whose label begins with one of `beginnings`, and what is left out.
 
-    Markers are NaN where missing.
+    A subject's name before ':' is ignored unless it is given. Raises `RecordingError` if labels
+    of two subjects begin so, or two markers have one label.
     """
-    try:
-        import ezc3d
-    except ImportError:
-        raise RecordingError(
-            f"{path}: reading C3D files needs ezc3d: pip install 'softrod_jax[c3d]'"
-        ) from None
-    try:
-        head = Path(path).read_bytes()[:10]
-    except (OSError, ValueError) as e:
-        reason = getattr(e, "strerror", None) or e
-        raise RecordingError(f"{path}: cannot read the recording: {reason}") from None
-    if len(head) < 10 or head[1] != 0x50:
-        raise RecordingError(f"{path}: not a C3D file (its second byte is not 0x50)")
-    _try_apart(path)
-    try:
-        file = ezc3d.c3d(str(path))
-        points = np.array(file["data"]["points"][:3]).transpose(2, 1, 0)
-        residuals = file["data"]["meta_points"]["residuals"][0].T
-        parameters = file["parameters"]["POINT"]
-        labels = [label.strip() for label in parameters["LABELS"]["value"]]
-    except Exception as e:  # ezc3d raises whatever its C++ throws
-        raise RecordingError(f"{path}: not a readable C3D file: {e}") from None
-    if not len(points):
-        raise RecordingError(f"{path}: holds no frames")
-    points[residuals < 0] = np.nan
-    # ezc3d says nothing of a file that was cut short, and forgets what its header promised.
-    first, last = (int.from_bytes(head[i : i + 2], "little") for i in (6, 8))
-    return points, labels, _unit(parameters, path), _rate(parameters, path), last - first + 1
-
-
-def _try_apart(path) -> None:
-    """Read the file in a process of its own first: ezc3d dies of some corrupted ones."""
-    program = "import sys, ezc3d\ntry: ezc3d.c3d(sys.argv[1])\nexcept Exception: pass"
-    done = subprocess.run([sys.executable, "-c", program, str(path)], capture_output=True)
-    if done.returncode < 0 or done.returncode > 255:  # by a signal; Windows: by an exception
-        raise RecordingError(f"{path}: ezc3d crashes on it: the file is corrupted; export it again")
-
-
-def _unit(parameters, path) -> float:
-    values = parameters["UNITS"]["value"] if "UNITS" in parameters else []
-    name = values[0].strip().lower() if len(values) else ""
-    if name not in _METRES:
-        raise RecordingError(
-            f"{path}: POINT:UNITS is {name!r}, expected one of {', '.join(_METRES)}; set it in "
-            "the software that exported the file"
-        )
-    return _METRES[name]
-
-
-def _rate(parameters, path) -> float:
-    values = parameters["RATE"]["value"] if "RATE" in parameters else []
-    rate = float(values[0]) if len(values) else 0.0
-    if not (np.isfinite(rate) and rate > 0):
-        raise RecordingError(f"{path}: POINT:RATE is {rate:g}, expected a number above 0 [Hz]")
-    return rate
-
-
-def _find(labels: list[str], beginnings: str) -> list[int]:
-    """The labels that begin with one of `beginnings`; a subject's name before ':' is ignored."""
     wanted = tuple(b.strip().lower() for b in beginnings.split(",") if b.strip())
-    return [j for j, x in enumerate(labels) if x.split(":")[-1].strip().lower().startswith(wanted)]
+    chosen, left_out = [], []
+    for j, label in enumerate(file.labels):
+        name = label.split(":")[-1].strip().lower()
+        if name.startswith(wanted) or label.lower().startswith(
+            tuple(w for w in wanted if ":" in w)
+        ):
+            (left_out if label in file.kinds else chosen).append(j)
+    labels = [file.labels[j] for j in chosen]
+    for label in labels:
+        if label in file.twice:
+            raise RecordingError(
+                f"{path}: two markers are called {label!r}, and both were seen: rename one in the "
+                f"software that exported the file, or choose others with {option}"
+            )
+    subjects = {
+        label.rpartition(":")[0] for label in labels if not label.lower().startswith(wanted)
+    }
+    if len(subjects) > 1:
+        raise RecordingError(
+            f"{path}: {', '.join(labels)} are of {len(subjects)} subjects; choose one with its "
+            f"name and colon, {option} = {labels[0]!r}"
+        )
+    names = ", ".join(file.labels[j] for j in left_out)
+    return chosen, [f"{names}: no positions, left out"] if left_out else []

@@ -9,6 +9,8 @@ from calibration.recording import RecordingError
 _LEAST_REST = 5
 # Base markers that miss their places by more than this are not where they are said to be.
 _LARGEST_MISFIT = 3e-3  # m
+# Markers of which the distance changes by more than this part of the rod are not on one body.
+_LARGEST_STRETCH = 0.2
 
 
 def axes_matrix(axes: str, where: str) -> np.ndarray:
@@ -89,3 +91,25 @@ def straight_tip(scene) -> np.ndarray:
         w, *xyz = np.asarray(scene.base_quaternion)
         tip = tip + 2 * np.cross(xyz, np.cross(xyz, tip) + w * tip)
     return tip if scene.base_position is None else tip + np.asarray(scene.base_position)
+
+
+def check_one_body(path, points, labels: list[str], scene) -> None:
+    """Refuse markers whose mean is no place: `points` (T, markers, 3) [m] that are further from
+    each other than the rod is long, or whose distances change by a good part of it.
+
+    Angles and forces, stored like markers, and markers of another object look like that.
+    """
+    length = float(scene.length)
+    for j in range(1, len(labels)):
+        for i in range(j):
+            distance = np.linalg.norm(points[:, i] - points[:, j], axis=1)
+            distance = distance[np.isfinite(distance)]
+            if not len(distance):
+                continue
+            low, middle, high = np.quantile(distance, (0.02, 0.5, 0.98))
+            if middle > length or high - low > _LARGEST_STRETCH * length:
+                raise RecordingError(
+                    f"{path}: {labels[i]} and {labels[j]} are {low:.3g} to {high:.3g} m apart, "
+                    f"and the rod is {length:g} m long: they are not on one body; is one of them "
+                    "no position, or another object's? choose the markers by their whole names"
+                )

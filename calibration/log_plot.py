@@ -47,10 +47,10 @@ def log_figure(recording: Recording, scene=None, trajectory=None) -> Figure:
 
 
 def _draw_tip(rows, recording, trajectory) -> None:
-    known = recording.has_tip
-    t, tip = recording.times[known], 1e3 * recording.tip_positions[known]
+    t, tip = recording.times, 1e3 * recording.tip_positions
     for i, (row, letter) in enumerate(zip(rows, "xyz", strict=True)):
-        row.plot(t, tip[:, i], ".-", ms=3, lw=0.8, color=_MEASURED, label="log")
+        known = np.isfinite(tip[:, i])
+        row.plot(t[known], tip[known, i], ".-", ms=3, lw=0.8, color=_MEASURED, label="log")
         if trajectory is not None:
             ts = recording.times[0] + np.asarray(trajectory.ts)
             simulated = 1e3 * np.asarray(trajectory.tip_positions[:, i])
@@ -61,7 +61,8 @@ def _draw_tip(rows, recording, trajectory) -> None:
 
 
 def _draw_path(axes, recording) -> None:
-    tip = 1e3 * recording.tip_positions[recording.has_tip]
+    # A coordinate that no camera saw is drawn as zero.
+    tip = 1e3 * recording.track[1]
     axes.plot(*tip.T, lw=1, color=_MEASURED)
     axes.plot(*tip[:1].T, "o", ms=5, color="black", label="start")
     axes.plot(*tip[-1:].T, "s", ms=5, color=_SIMULATED, label="end")

@@ -1,20 +1,24 @@
 """Mapping files: from somebody's columns, units and axes to a `Recording`.
 
     [time]
-    column = "Time"                     # or rate = 100.0 [Hz]; a C3D knows its own
+    column = "Time"                     # or rate = 100.0 [Hz]; a motion capture knows its own
     unit = "ms"
+    offset = -1704448800.0              # added first, in the file's unit
+    format = "%d/%m/%Y %H:%M:%S.%f"     # of dates; not needed for 2024-01-05 or 05.01.2024
     [tip]
-    columns = ["X", "Y", "Z"]           # or markers = [["a.x", "a.y", "a.z"], ..]: their mean
+    columns = ["X", "Y", "Z"]           # or markers = [["a.x", "a.y", "a.z"], ..]: their mean;
+                                        # "" for a coordinate that was not measured
     unit = "mm"
     axes = "-y,x,z"                     # which axes of the file are the scene's x, y, z
-    missing = -9999.0                   # what stands for a sample that was not seen
+    missing = -9999.0                   # what stands for a sample that was not seen; or [0, -9999]
     origin = [0.0, 12.0, 250.0]         # the clamp in the file's axes and unit; or rest = true:
                                         # put the rest at the beginning at the straight tip
     [[tensions]]                        # one for each tendon, in the scene's order
     column = "Load cell 1"
     unit = "gf"
     offset = -12.0                      # added first, in the file's unit
-    time = { column = "t_daq", unit = "s" }  # if it has a clock rate of its own
+    scale = 1.0                         # then multiplied with: units a volt of a sensor, or -1
+    time = { column = "t_daq", unit = "s" }  # if it has a clock of its own
     [[pressures]]
     column = "P"
     unit = "kPa"
@@ -23,30 +27,42 @@
     position = [0.02, 0.0, 0.0]         # m, where the marker is in the scene's frame
     [conditions]                        # in what this experiment differs from the scene
     payload_mass = 0.052
-    [csv]
-    delimiter = ";"
-    decimal = ","
+    [csv]                               # of text files
+    delimiter = ";"                     # or "tab", "space"; found if absent, as the next three
     skip_rows = 3                       # lines before the header
+    header = true                       # false if there is none: columns are then called 1, 2, ..
+    encoding = "cp1252"
+    decimal = ","
+    thousands = "."
+    missing = ["n.d.", "x"]             # cells that stand for nothing, beside NA, nan, - and so on
+
+Where the file says its units (a C3D, Motive, a row of units below the header, `X [mm]`), `unit`
+may be left out, and is an error if it says another; `ignore_file_unit = true` beside it overrules
+the file. A sample of the tip at exactly (0, 0, 0) is one that was not seen.
 """
 
-import tomllib
+from dataclasses import replace
 from os import PathLike
 from pathlib import Path
 
 import numpy as np
 
-from calibration.frames import axes_matrix, from_base_markers, from_rest
-from calibration.recording import Recording, RecordingError, check_reach
-from calibration.tables import Table, read_table
+from calibration import units
+from calibration.cells import NumberFormat
+from calibration.clocks import check_overlap, find_gaps
+from calibration.frames import axes_matrix, check_one_body, from_base_markers, from_rest
+from calibration.loads import without_noise_below_zero
+from calibration.mapped_columns import Clock, check_interval, factor, one_zero
+from calibration.mapping_file import Spec, read_toml
+from calibration.plausible import Source, check_reach
+from calibration.recording import Recording, RecordingError
+from calibration.table import Table
+from calibration.tables import read_table
+from calibration.text_tables import TextOptions
+from calibration.unseen import at_zero
 
-UNITS = {
-    "time": {"s": 1.0, "ms": 1e-3, "us": 1e-6, "min": 60.0},
-    "length": {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "in": 0.0254},
-    "force": {"N": 1.0, "mN": 1e-3, "kN": 1e3, "gf": 9.80665e-3, "kgf": 9.80665, "lbf": 4.4482216},
-    "pressure": {"Pa": 1.0, "hPa": 1e2, "kPa": 1e3, "MPa": 1e6, "mbar": 1e2, "bar": 1e5,
-                 "psi": 6894.757},
-}  # fmt: skip
-_LARGEST_INTERVAL = 5.0  # s
+_SHORT = {"tensions": "force", "pressures": "pressure"}
+_FILL = "fill it in or delete the row"
 
 
 def read_mapped(path: str | PathLike, mapping: str | PathLike, scene) -> Recording:
@@ -55,243 +71,178 @@ def read_mapped(path: str | PathLike, mapping: str | PathLike, scene) -> Recordi
     Raises `RecordingError` naming file, row, column, value and remedy; for a mapping that cannot
     be, naming its key.
     """
-    spec = _read_toml(mapping)
-    options = spec.table("csv", required=False)
-    table = read_table(
-        path,
-        delimiter=options.text("delimiter", None),
-        decimal=options.text("decimal", "."),
-        skip_rows=int(options.number("skip_rows", 0.0)),
-    )
-    options.done()
-    clock = _clock(table, spec.table("time", required=table.interval is None))
-    tip, clock_of_tip, note, known = _tip(table, spec, clock, scene)
+    spec = read_toml(mapping)
+    table = read_table(path, _text_options(spec.table("csv", required=False)))
+    clock = Clock(table, spec.table("time", required=table.interval is None))
+    tip, clock_of_tip, notes, known, source = _tip(table, spec, clock, scene)
     inputs = {
-        name: [
-            _input(table, part, kind, clock, i)
-            for i, part in enumerate(spec.tables(name))
-        ]
-        for name, kind in (("tensions", "force"), ("pressures", "pressure"))
+        name: [_input(table, part, kind, clock) for part in spec.tables(name)]
+        for name, kind in _SHORT.items()
     }
     conditions = spec.table("conditions", required=False).numbers()
     spec.done()
     _check_counts(mapping, inputs, scene)
-    times, tip, columns = _merged(clock_of_tip, tip, inputs)
+    clocks, dated = one_zero(path, [clock_of_tip, *(x[1] for p in inputs.values() for x in p)])
+    clock_of_tip, others = clocks[0], iter(clocks[1:])
+    inputs = {
+        name: [(part, next(others), *rest) for part, _, *rest in parts]
+        for name, parts in inputs.items()
+    }
+    check_interval(path, mapping, clock_of_tip[np.any(np.isfinite(tip), axis=1)])
+    gaps, said = _clocks_of(path, clock_of_tip, tip, inputs)
+    times, merged, columns, clipped = _merged(path, clock_of_tip, tip, inputs)
     recording = Recording(
         times=times,
         tensions=columns["tensions"],
         pressures=columns["pressures"],
-        tip_positions=tip,
+        tip_positions=merged,
         name=Path(path).stem,
         source=str(path),
         origin_known=known,
-        notes=note,
+        notes=(*table.notes, *dated, *notes, *clipped, *said),
         conditions=conditions,
+        gaps=gaps,
     )
     if not np.any(recording.has_tip):
-        raise RecordingError(f"{path}: the tip's columns: every sample is missing")
-    interval = float(np.median(np.diff(times[recording.has_tip]))) if len(times) > 1 else 0.0
-    if interval > _LARGEST_INTERVAL:
-        raise RecordingError(
-            f"{path}: samples are {interval:g} s apart: is the time in ms? set [time] unit in "
-            f"{mapping}"
-        )
-    names = dict(zip(clock_of_tip.tolist(), range(len(clock_of_tip)), strict=True))
-    check_reach(recording, scene, [table.row(names.get(t, 0)) for t in times.tolist()])
+        raise RecordingError(f"{path}: {source.columns}: every sample is missing")
+    names = dict(zip(clock_of_tip.tolist(), source.labels, strict=True))
+    check_reach(
+        recording, scene, replace(source, labels=[names.get(t, "") for t in times.tolist()])
+    )
     return recording
 
 
-class _Spec:
-    """A table of a mapping file; everything in it must be asked for before `done`."""
-
-    def __init__(self, content: dict, where: str):
-        self.content, self.where, self.asked = content, where, set()
-
-    def _get(self, key, kind, what, default, required):
-        self.asked.add(key)
-        if key not in self.content:
-            if required:
-                raise RecordingError(f"{self.where}{key} is missing: expected {what}")
-            return default
-        value = self.content[key]
-        if not isinstance(value, kind) or isinstance(value, bool) != (kind is bool):
-            raise RecordingError(f"{self.where}{key} = {value!r}: expected {what}")
-        return value
-
-    def table(self, key, required=True) -> "_Spec":
-        content = self._get(key, dict, "a table", {}, required)
-        return _Spec(content, f"{self.where}{key}.")
-
-    def tables(self, key) -> list["_Spec"]:
-        content = self._get(key, list, f"tables [[{key}]]", [], False)
-        for part in content:
-            if not isinstance(part, dict):
-                raise RecordingError(f"{self.where}{key}: expected tables [[{key}]]")
-        return [_Spec(part, f"{self.where}{key}[{i}].") for i, part in enumerate(content)]
-
-    def text(self, key, *default):
-        return self._get(key, str, "a text", *(default or (None,)), not default)
-
-    def flag(self, key) -> bool:
-        return self._get(key, bool, "true or false", False, False)
-
-    def number(self, key, *default):
-        value = self._get(key, int | float, "a number", *(default or (None,)), not default)
-        return None if value is None else float(value)
-
-    def texts(self, key, count, required=True):
-        return self._list(key, str, f"a list of {count} column names", count, required)
-
-    def vector(self, key, required=True):
-        values = self._list(key, int | float, "a list of 3 numbers", 3, required)
-        return None if values is None else np.array(values, dtype=float)
-
-    def _list(self, key, kind, what, count, required):
-        values = self._get(key, list, what, None, required)
-        if values is not None and not (
-            len(values) == count and all(isinstance(v, kind) for v in values)
-        ):
-            raise RecordingError(f"{self.where}{key} = {values!r}: expected {what}")
-        return values
-
-    def unit(self, kind: str, default: str) -> float:
-        name = self.text("unit", default)
-        if name not in UNITS[kind]:
-            raise RecordingError(
-                f"{self.where}unit = {name!r}: expected one of {', '.join(UNITS[kind])}"
-            )
-        return UNITS[kind][name]
-
-    def numbers(self) -> dict[str, float]:
-        return {key: self.number(key) for key in self.content}
-
-    def done(self) -> None:
-        for key in self.content:
-            if key not in self.asked:
-                allowed = ", ".join(sorted(self.asked))
-                raise RecordingError(f"{self.where}{key}: unknown key; allowed here: {allowed}")
-
-
-def _read_toml(path) -> _Spec:
-    try:
-        with open(path, "rb") as file:
-            return _Spec(tomllib.load(file), f"{path}: ")
-    except OSError as e:
-        raise RecordingError(f"{path}: cannot read the mapping: {e.strerror or e}") from None
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as e:
-        raise RecordingError(f"{path}: not a TOML file: {e}") from None
-
-
-def _numbers(table: Table, name: str) -> np.ndarray:
-    """A column; a cell that is no number is an error, one that is missing is NaN."""
-    values = table.column(name)
-    for k in np.flatnonzero(np.isinf(values))[:1]:
-        raise RecordingError(
-            f"{table.path}: {table.row(k)}, column {name}: not a finite number; leave the cell "
-            "empty if the sample is missing"
-        )
-    return values
-
-
-def _clock(table: Table, spec: _Spec) -> np.ndarray:
-    """Times [s], NaN where the clock has no sample."""
-    length = len(next(iter(table.columns.values())))
-    if not spec.content:
-        return table.interval * np.arange(length)
-    rate = spec.number("rate", None)
-    if rate is not None:
-        spec.done()
-        if not rate > 0:
-            raise RecordingError(f"{spec.where}rate = {rate:g}: expected a number above 0 [Hz]")
-        return np.arange(length) / rate
-    name = spec.text("column")
-    times = spec.unit("time", "s") * _numbers(table, name)
+def _text_options(spec: Spec) -> TextOptions:
+    decimal = spec.text("decimal", None)
+    if decimal not in (None, ".", ","):
+        raise spec.wrong("decimal", decimal, "'.' or ','")
+    thousands = spec.character("thousands", None, {"space": " "})
+    delimiter = spec.character("delimiter", None, {"tab": "\t", "space": " ", "\\t": "\t"})
+    if thousands is not None and (thousands == (decimal or ".") or thousands.isalnum()):
+        raise spec.wrong("thousands", thousands, "another sign than the decimal one, no digit")
+    if delimiter is not None and (delimiter.isalnum() or delimiter in "+-."):
+        raise spec.wrong("delimiter", delimiter, "a sign that is in no number")
+    missing = frozenset(str(x).strip().lower() for x in spec.scalars("missing"))
+    options = TextOptions(
+        delimiter=delimiter,
+        skip=spec.whole("skip_rows", None),
+        header=spec.flag("header", True),
+        numbers=NumberFormat(decimal, thousands, missing),
+        encoding=spec.text("encoding", None),
+    )
     spec.done()
-    there = np.flatnonzero(np.isfinite(times))
-    steps = np.diff(times[there])
-    for k in np.flatnonzero(steps <= 0)[:1]:
-        what = "repeats the time of" if steps[k] == 0 else "is earlier than"
-        raise RecordingError(
-            f"{table.path}: {table.row(there[k + 1])}, column {name}: "
-            f"{table.column(name)[there[k + 1]]:g} {what} {table.row(there[k])}; time must "
-            "increase from row to row: sort the rows and delete repeated ones"
-        )
-    return times
+    return options
 
 
-def _paired(table: Table, name: str, clock: np.ndarray) -> np.ndarray:
-    values = _numbers(table, name)
-    if len(values) != len(clock):
-        raise RecordingError(
-            f"{table.path}: column {name}: {len(values)} samples, and its time has {len(clock)}; "
-            "give it a time of its own"
-        )
-    return values
-
-
-def _tip(table: Table, spec: _Spec, clock, scene):
+def _tip(table: Table, spec: Spec, clock: Clock, scene):
     part = spec.table("tip")
     own = part.table("time", required=False)
-    clock = _clock(table, own) if own.content else clock
+    clock = Clock(table, own) if own.content else clock
     columns = part.texts("columns", 3, required=False)
-    markers = part._get("markers", list, "a list of lists of 3 column names", None, False)
+    markers = part.get("markers", list, "a list of lists of 3 column names", None, False)
     if (columns is None) == (markers is None):
         raise RecordingError(f"{part.where}columns or {part.where}markers: one of them is needed")
-    unit, missing = part.unit("length", "m"), part.number("missing", None)
+    missing = part.scalars("missing")
     turn = axes_matrix(part.text("axes", "x,y,z"), part.where)
     origin, rest = part.vector("origin", required=False), part.flag("rest")
+    if origin is not None and rest:
+        raise RecordingError(f"{part.where}origin and {part.where}rest: one of them is too much")
+    triples = markers or [columns]
+    for names in triples:
+        if not (isinstance(names, list) and len(names) == 3 and all(
+            isinstance(name, str) for name in names
+        ) and any(names)):  # fmt: skip
+            raise part.wrong("markers", names, "3 column names, at least one not empty")
+    found = [[table.find(name, "tip") if name else "" for name in names] for names in triples]
+    unit = factor(table, part, "length", [name for names in found for name in names if name])
     part.done()
-
-    def place(names):
-        if not (isinstance(names, list) and len(names) == 3):
-            raise RecordingError(f"{part.where}markers: {names!r}: expected 3 column names")
-        xyz = np.stack([_paired(table, name, clock) for name in names], axis=1)
-        if missing is not None:
-            xyz = np.where(xyz == missing, np.nan, xyz)
-        return unit * xyz @ turn.T
-
-    tip = np.mean([place(names) for names in (markers or [columns])], axis=0)
-    base = spec.tables("base_markers")
+    place = lambda names: _place(table, names, missing, unit, turn)
+    placed = [place(names) for names in found]
+    count = len(placed[0])
+    clock = clock.of(count, next(name for name in found[0] if name))
+    labels = [table.row(k, count) for k in range(count)]
+    if any(len(p) != count for p in placed):
+        raise RecordingError(
+            f"{part.where}markers: their columns have different numbers of samples"
+        )
+    check_one_body(table.path, np.stack(placed, axis=1), [names[0] for names in found], scene)
     seen, meant = [], []
-    for marker in base:
-        seen.append(place(marker.texts("columns", 3)))
+    for marker in spec.tables("base_markers"):
+        names = [table.find(name, "base") for name in marker.texts("columns", 3)]
+        seen.append(place(names))
         meant.append(marker.vector("position"))
         marker.done()
-    there = np.isfinite(clock)
-    clock, tip, seen = clock[there], tip[there], [s[there] for s in seen]
-    notes = ()
-    if base:
-        tip, notes = from_base_markers(tip, seen, meant, spec.where)
+        if len(seen[-1]) != count:
+            raise RecordingError(
+                f"{marker.where}columns: {len(seen[-1])} samples, the tip has {count}"
+            )
+    notes = []
+    if origin is None and not seen:
+        for k, p in enumerate(placed):
+            placed[k], note = at_zero(p, always=not rest)
+            notes += note
+    there = ~np.isnan(clock)
+    tip, seen = np.mean(placed, axis=0)[there], [s[there] for s in seen]
+    if seen:
+        tip, note = from_base_markers(tip, seen, meant, spec.where)
+        notes += note
     elif origin is not None:
         tip = tip - turn @ (unit * origin)
     if rest:
         tip, note = from_rest(tip, scene, table.path)
-        notes = (*notes, note)
-    return tip, clock, notes, not rest
+        notes.append(note)
+    now = next(name for name, size in units.UNITS["length"].items() if np.isclose(size, unit))
+    source = Source(
+        [label for label, use in zip(labels, there, strict=True) if use],
+        f"columns {', '.join(name or '(none)' for name in found[0])}",
+        unit="[tip] unit",
+        origin=None if rest or seen else "[tip] rest = true, or the clamp as [tip] origin",
+        now=now,
+    )
+    return tip, clock[there], notes, not rest, source
 
 
-def _input(table: Table, part: _Spec, kind: str, clock, index: int):
-    """Times [s] and values [SI] of one actuator, without missing samples."""
+def _place(table: Table, names, missing, unit, turn) -> np.ndarray:
+    """A marker (T, 3) [m] in the scene's axes; NaN where it, or a coordinate, was not seen."""
+    count = len(table.columns[next(name for name in names if name)])
+    if any(name and len(table.columns[name]) != count for name in names):
+        raise RecordingError(f"{table.path}: columns {', '.join(names)}: have different lengths")
+    leave = "leave the cell empty if the sample is missing, or name its text in [csv] missing"
+    xyz = np.full((count, 3), np.nan)
+    for i, name in enumerate(names):
+        if name:
+            values = table.numbers(name, leave)
+            marks = [m for m in missing if not isinstance(m, str)]
+            xyz[:, i] = np.where(np.isin(values, marks), np.nan, values)
+    # The matrix has one entry in each row: NaN times zero must not spread to other axes.
+    return unit * np.stack([sign * xyz[:, i] for i, sign in _picked(turn)], axis=1)
+
+
+def _picked(turn):
+    return [(int(np.argmax(np.abs(row))), float(np.sum(row))) for row in turn]
+
+
+def _input(table: Table, part: Spec, kind: str, clock: Clock):
+    """Name, times and values [SI] of one actuator, without missing samples; labels, time's key."""
     own = part.table("time", required=False)
-    clock = _clock(table, own) if own.content else clock
-    name = part.text("column")
-    values = _paired(table, name, clock)
-    scale, offset = part.number("scale", 1.0), part.number("offset", 0.0)
-    values = part.unit(kind, {"force": "N", "pressure": "Pa"}[kind]) * scale * (values + offset)
+    clock = Clock(table, own) if own.content else clock
+    name = table.find(part.text("column"))
+    values = table.numbers(name, f"inputs are needed in every row: {_FILL}")
+    times = clock.of(len(values), name)
+    given = part.number("scale", None)
+    scale, offset = 1.0 if given is None else given, part.number("offset", 0.0)
+    values = factor(table, part, kind, [name], given is not None) * scale * (values + offset)
     part.done()
-    there = np.isfinite(clock)
+    there = ~np.isnan(times)
     for k in np.flatnonzero(there & ~np.isfinite(values))[:1]:
         raise RecordingError(
-            f"{table.path}: {table.row(k)}, column {name}: missing; inputs are needed in every "
-            "row (only the tip may be missing): fill it in or delete the row"
+            f"{table.path}: {table.row(k, len(values))}, column {name}: missing; inputs are "
+            f"needed in every row (only the tip may be missing): {_FILL}"
         )
-    for k in np.flatnonzero(there & (values < 0))[:1] if kind == "force" else ():
-        raise RecordingError(
-            f"{table.path}: {table.row(k)}, column {name}: {values[k]:.4g} N is negative; a tendon "
-            "can only pull: correct the zero of the load cell with `offset`, or the sign with "
-            "`scale = -1`"
-        )
-    return clock[there], values[there]
+    if not np.any(there):
+        raise RecordingError(f"{table.path}: column {name}: no sample has a time")
+    labels = [table.row(k, len(values)) for k in np.flatnonzero(there)]
+    return name, times[there], values[there], labels, f"{part.where}time."
 
 
 def _check_counts(mapping, inputs, scene) -> None:
@@ -306,14 +257,38 @@ def _check_counts(mapping, inputs, scene) -> None:
             )
 
 
-def _merged(clock, tip, inputs):
+def _clocks_of(path, clock, tip, inputs):
+    """Where inputs are not known, and notes."""
+    gaps, notes = [], []
+    known = clock[np.any(np.isfinite(tip), axis=1)]
+    if not len(known):
+        return (), ()
+    interval = float(np.median(np.diff(known))) if len(known) > 1 else 0.0
+    for parts in inputs.values():
+        whole = max((np.ptp(values) for _, _, values, *_ in parts), default=0.0)
+        for name, times, values, _, key in parts:
+            notes += check_overlap(path, name, times, known, key)
+            found = find_gaps(times, values, name, whole, interval)
+            gaps += found.open
+            notes += found.notes
+    return tuple(sorted(set(gaps))), notes
+
+
+def _merged(path, clock, tip, inputs):
     """One clock for all: every time at which anything was sampled. Inputs change linearly."""
-    others = [times for parts in inputs.values() for times, _ in parts]
+    others = [times for parts in inputs.values() for _, times, *_ in parts]
     times = np.unique(np.concatenate([clock, *others]))
     all_tips = np.full((len(times), 3), np.nan)
     all_tips[np.searchsorted(times, clock)] = tip
+    clipped = ()
+    tensions = inputs["tensions"]
+    if tensions:
+        where = lambda i, k: f"{path}: {tensions[i][3][k]}, column {tensions[i][0]}"
+        values, clipped = without_noise_below_zero([x[2] for x in tensions], where)
+        tensions = [(x[0], x[1], v) for x, v in zip(tensions, values, strict=True)]
+        inputs = {**inputs, "tensions": tensions}
     columns = {
-        name: np.stack([np.interp(times, *part) for part in parts], axis=1) if parts else None
+        name: np.stack([np.interp(times, x[1], x[2]) for x in parts], axis=1) if parts else None
         for name, parts in inputs.items()
     }
-    return times, all_tips, columns
+    return times, all_tips, columns, clipped

@@ -22,17 +22,17 @@ def detect_onset(recording: Recording) -> float:
     The first sample's time if the tip moves from the start. Raises `RecordingError` if it
     never clearly moves, or if there are fewer than three samples of it.
     """
-    known = recording.has_tip
+    times, tip = recording.track
     where = recording.source or recording.name
-    if np.count_nonzero(known) < 3:
+    if len(tip) < 3:
         raise RecordingError(f"{where}: fewer than three samples of the tip: nothing to go by")
-    index = last_rest_sample(recording.tip_positions[known])
+    index = last_rest_sample(tip)
     if index is None:
         raise RecordingError(
             f"{where}: the tip never moves clearly beyond its noise; give a recording in which "
             "it does, or switch the fit of the time offset off"
         )
-    return float(recording.times[known][index])
+    return float(times[index])
 
 
 def last_rest_sample(tip: np.ndarray) -> int | None:

@@ -73,7 +73,7 @@ def data_axes(inputs, tip, recording: Recording, window) -> None:
     inputs.set_xlabel("t [s]")
     inputs.set_title(recording.name, fontsize=10)
     known = recording.has_tip
-    start = np.nanmedian(recording.tip_positions[known][:5], axis=0)
+    start = np.median(recording.track[1][:5], axis=0)
     for i, letter in enumerate("xyz"):
         tip.plot(t[known], 1e3 * (recording.tip_positions[known, i] - start[i]), ".", ms=2,
                  label=letter)  # fmt: skip

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from calibration.clocks import first_gap
 from calibration.onset import detect_onset
 from calibration.recording import Recording, RecordingError
 
@@ -42,7 +43,8 @@ def kept(recording: Recording, selection: Selection) -> np.ndarray:
 
 
 def select(recording: Recording, window: tuple[float, float] | None) -> Selection:
-    """The samples to use: those in `window` [s] if given, else by the rule `RULE`.
+    """The samples to use: those in `window` [s] if given, else by the rule `RULE`; none after the
+    inputs are not known for a while.
 
     Raises `RecordingError` if the window holds fewer than five samples with a tip, and
     `ValueError` if it is not a pair start < end.
@@ -57,12 +59,24 @@ def select(recording: Recording, window: tuple[float, float] | None) -> Selectio
         selection = Selection(start, end, "window given")
     else:
         selection = _default(recording)
+    gap = first_gap(recording)
+    if gap is not None and gap[0] < selection.end:
+        # The motion after it depends on inputs that nobody knows.
+        rule = f"{selection.rule}, but only up to {gap[0]:g} s, where the inputs have a gap"
+        selection = Selection(selection.start, gap[0], rule)
     known = int(np.sum(kept(recording, selection)))
     if known < 5:
+        where, begin, end = recording.source or recording.name, *recording.times[[0, -1]]
+        if gap is not None and gap[0] <= selection.end:
+            raise RecordingError(
+                f"{where}: no inputs were recorded from {gap[0]:g} to {gap[1]:g} s, and before that "
+                f"are only {known} samples of the tip that can be used; fill the rows in, or give "
+                f"the part after it alone, from a moment of rest on (--window {gap[1]:g} {end:g})"
+            )
         raise RecordingError(
-            f"{recording.source or recording.name}: {known} samples of the tip between "
-            f"{selection.start:g} and {selection.end:g} s; at least 5 are needed (the recording "
-            f"runs from {recording.times[0]:g} to {recording.times[-1]:g} s)"
+            f"{where}: {known} samples of the tip between {selection.start:g} and "
+            f"{selection.end:g} s; at least 5 are needed (the recording runs from {begin:g} to "
+            f"{end:g} s)"
         )
     return selection
 
@@ -94,8 +108,7 @@ def input_onset(recording: Recording) -> float:
 
 def _settled(recording: Recording, onset: float) -> float:
     """The last time [s] at which the tip still moves."""
-    known = recording.has_tip
-    times, tip = recording.times[known], recording.tip_positions[known]
+    times, tip = recording.track
     last = tip[-max(len(tip) // 10, 5) :]
     departure = np.sum((tip - np.median(last, axis=0)) ** 2, axis=1)
     departure = np.where(times >= onset, departure, 0.0)

@@ -1,54 +1,27 @@
-"""Files of other people as named columns of numbers: CSV, MAT, HDF5, Parquet, C3D.
+"""Files of other people as tables: text, MAT, HDF5, Parquet and C3D.
 
 A two-dimensional array gives a column for each of its own, counted from 1: `tip[1]`, `tip[2]`.
 Names inside structures and groups are joined by a slash: `robot/tip[1]`. A marker of a C3D gives
 `LABEL.x`, `LABEL.y` and `LABEL.z`.
 """
 
-import csv
-import math
-from dataclasses import dataclass
 from os import PathLike
 from pathlib import Path
 
 import numpy as np
 
+from calibration.c3d_points import read_points
 from calibration.recording import RecordingError
+from calibration.table import Table
+from calibration.text_tables import TextOptions, read_text
 
 _METADATA = ("__header__", "__version__", "__globals__")
 # Larger than any log: not columns of samples but images or matrices.
 _MOST_COLUMNS = 64
 
 
-@dataclass(frozen=True)
-class Table:
-    """`columns`, (T,) each, by name; `rows`: what each sample is called in messages, by length.
-
-    `interval` [s]: between samples, where the file itself knows it (C3D).
-    """
-
-    path: str
-    columns: dict[str, np.ndarray]
-    row_names: list[str] | None = None
-    interval: float | None = None
-
-    def column(self, name: str) -> np.ndarray:
-        """Raises `RecordingError`, with the names that there are, for another."""
-        if name in self.columns:
-            return self.columns[name]
-        some = ", ".join(list(self.columns)[:40])
-        raise RecordingError(f"{self.path}: no column {name!r}; the file has {some}")
-
-    def row(self, k: int) -> str:
-        """The name of sample `k`."""
-        return self.row_names[k] if self.row_names else f"row {k + 1}"
-
-
-def read_table(
-    path: str | PathLike, *, delimiter: str | None = None, decimal: str = ".", skip_rows: int = 0
-) -> Table:
-    """The columns of `path`. The options are for CSV: the character between cells (found from the
-    header if None), the decimal sign, and the lines before the header.
+def read_table(path: str | PathLike, options: TextOptions = TextOptions()) -> Table:
+    """The columns of `path`; the options are for text.
 
     Raises `RecordingError` if the file cannot be read, its package is not installed, or it holds
     no columns of numbers.
@@ -57,63 +30,24 @@ def read_table(
     if kind is None:
         raise RecordingError(
             f"{path}: unknown kind of recording {Path(path).suffix!r}: expected one of "
-            f"{', '.join(_READERS)}"
+            f"{', '.join(_READERS)}" + _INSTEAD.get(Path(path).suffix.lower(), "")
         )
     try:
         with open(path, "rb"):
             pass
-        if kind is _csv:
-            return _csv(path, delimiter, decimal, skip_rows)
+        if kind is read_text:
+            return read_text(path, options)
         table = kind(path)
     except OSError as e:
         raise RecordingError(
             f"{path}: cannot read the recording: {e.strerror or _first_line(e)}"
         ) from None
+    except MemoryError:
+        raise RecordingError(f"{path}: does not fit into memory: cut it") from None
     if not table.columns:
-        raise RecordingError(f"{path}: holds no columns of numbers")
+        known = "".join(f"; {name} is {what}" for name, what in list(table.skipped.items())[:5])
+        raise RecordingError(f"{path}: holds no columns of numbers{known}")
     return table
-
-
-def _csv(path, delimiter, decimal, skip_rows) -> Table:
-    try:
-        with open(path, newline="", encoding="utf-8-sig") as file:
-            lines = file.read().splitlines()
-    except UnicodeDecodeError as e:
-        raise RecordingError(f"{path}: not UTF-8 text (byte {e.start}): is it a CSV?") from None
-    if len(lines) <= skip_rows:
-        raise RecordingError(f"{path}: {len(lines)} lines, and skip_rows = {skip_rows}")
-    head = lines[skip_rows]
-    if delimiter is None:
-        delimiter = max(",;\t", key=head.count)
-    names = [name.strip() for name in next(csv.reader([head], delimiter=delimiter))]
-    for name in names:
-        if names.count(name) > 1:
-            raise RecordingError(f"{path}: row {skip_rows + 1}: two columns are called {name!r}")
-    values, rows = [], []
-    for number, cells in enumerate(csv.reader(lines[skip_rows + 1 :], delimiter=delimiter)):
-        if not any(cell.strip() for cell in cells):
-            continue
-        row = f"row {number + skip_rows + 2}"
-        if len(cells) != len(names):
-            raise RecordingError(
-                f"{path}: {row}: {len(cells)} cells, and the header has {len(names)} columns"
-            )
-        values.append([_number(cell.strip(), decimal) for cell in cells])
-        rows.append(row)
-    if not rows:
-        raise RecordingError(f"{path}: a header and no rows: nothing was recorded")
-    return Table(str(path), dict(zip(names, np.array(values).T, strict=True)), rows)
-
-
-def _number(text: str, decimal: str) -> float:
-    """NaN for an empty cell, and infinity for one that is no number: it may be a comment."""
-    if text == "":
-        return math.nan
-    try:
-        value = float(text.replace(decimal, ".")) if "_" not in text else math.inf
-    except ValueError:
-        return math.inf
-    return value
 
 
 def _mat(path) -> Table:
@@ -139,19 +73,28 @@ def _hdf5(path) -> Table:
     except ImportError:
         raise _missing(path, "HDF5", "h5py", "hdf5") from None
     matlab = Path(path).suffix.lower() == ".mat"
-    columns: dict[str, np.ndarray] = {}
+    columns, said, skipped = {}, {}, {}
 
     def visit(name, item):
-        if isinstance(item, h5py.Dataset) and item.dtype.kind in "fiu" and item.ndim in (1, 2):
-            # MATLAB stores columns as rows.
-            _collect(name, np.asarray(item).T if matlab else np.asarray(item), columns)
+        if not isinstance(item, h5py.Dataset):
+            return
+        if item.dtype.kind not in "fiu" or item.ndim not in (1, 2):
+            skipped[name] = f"an array {item.shape} of {item.dtype}, not a column of numbers"
+            return
+        before = set(columns)
+        # MATLAB stores columns as rows.
+        _collect(name, np.asarray(item).T if matlab else np.asarray(item), columns)
+        unit = item.attrs.get("units", item.attrs.get("unit"))
+        unit = unit.decode("utf-8", "replace") if isinstance(unit, bytes) else unit
+        if isinstance(unit, str):
+            said.update(dict.fromkeys(set(columns) - before, unit))
 
     try:
         with h5py.File(path, "r") as file:
             file.visititems(visit)
-    except (OSError, RuntimeError) as e:
+    except (OSError, RuntimeError, KeyError, ValueError, TypeError) as e:
         raise RecordingError(f"{path}: not a readable HDF5 file: {_first_line(e)}") from None
-    return Table(str(path), columns)
+    return Table(str(path), columns, units=said, skipped=skipped)
 
 
 def _parquet(path) -> Table:
@@ -164,28 +107,61 @@ def _parquet(path) -> Table:
         table = pyarrow.parquet.read_table(path)
     except (pyarrow.ArrowException, ValueError) as e:
         raise RecordingError(f"{path}: not a readable Parquet file: {_first_line(e)}") from None
-    columns = {}
+    columns, skipped, said = {}, {}, {}
     for name, column in zip(table.column_names, table.columns, strict=True):
-        kind = column.type
-        if pyarrow.types.is_temporal(kind):
-            whole = column.cast(pyarrow.timestamp("ns"), safe=False).cast(pyarrow.int64())
-            columns[name] = np.asarray(whole.to_numpy(), dtype=float) * 1e-9
-        elif pyarrow.types.is_integer(kind) or pyarrow.types.is_floating(kind):
-            columns[name] = np.asarray(column.to_numpy(), dtype=float)
-    return Table(str(path), columns)
+        try:
+            values, unit = _arrow(column)
+        except (pyarrow.ArrowException, ValueError, TypeError, NotImplementedError):
+            values = None
+        if values is None:
+            skipped[name] = f"of type {column.type}, neither numbers nor times"
+            continue
+        columns[name] = values
+        if unit:
+            said[name] = unit
+    return Table(str(path), columns, units=said, skipped=skipped)
+
+
+def _arrow(column):
+    """A column of Parquet as numbers or moments, with its unit if its type has one; else None."""
+    import pyarrow as pa
+
+    kind, is_ = column.type, pa.types
+    if is_.is_dictionary(kind):
+        return _arrow(column.cast(kind.value_type))
+    if is_.is_timestamp(kind) or is_.is_date(kind):
+        return column.cast(pa.timestamp("ns"), safe=False).to_numpy().astype("M8[ns]"), None
+    if is_.is_duration(kind) or is_.is_time(kind):
+        whole = pa.int64() if is_.is_duration(kind) or is_.is_time64(kind) else pa.int32()
+        size = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}[kind.unit]
+        return np.asarray(column.cast(whole).to_numpy(), dtype=float) * size, "s"
+    if is_.is_decimal(kind):
+        column, kind = column.cast(pa.float64()), pa.float64()
+    if is_.is_integer(kind) or is_.is_floating(kind):
+        return np.asarray(column.to_numpy(), dtype=float), None
+    return None, None
 
 
 def _c3d(path) -> Table:
-    from calibration.c3d import read_points
-
-    points, labels, unit, rate, _ = read_points(path)
-    columns = {
-        f"{label}.{axis}": unit * points[:, j, i]
-        for j, label in enumerate(labels)
-        for i, axis in enumerate("xyz")
-    }
-    names = [f"frame {k + 1}" for k in range(len(points))]
-    return Table(str(path), columns, names, 1 / rate)
+    points = read_points(path)
+    columns, said, skipped = {}, {}, {}
+    for j, label in enumerate(points.labels):
+        if label in points.twice:
+            skipped |= {f"{label}.{axis}": "of a label that two markers have" for axis in "xyz"}
+            continue
+        for i, axis in enumerate("xyz"):
+            columns[f"{label}.{axis}"] = points.positions[:, j, i]
+            said[f"{label}.{axis}"] = points.kinds.get(label, points.unit)
+    names = [f"frame {k + 1}" for k in range(len(points.positions))]
+    return Table(
+        str(path),
+        columns,
+        units={name: unit for name, unit in said.items() if unit},
+        skipped=skipped,
+        rows={len(names): names},
+        interval=None if points.rate is None else 1 / points.rate,
+        notes=points.notes,
+    )
 
 
 def _collect(name: str, value, columns: dict) -> None:
@@ -197,7 +173,13 @@ def _collect(name: str, value, columns: dict) -> None:
     array = np.asarray(value)
     if array.dtype.kind not in "fiu" or array.ndim not in (1, 2):
         return
-    array = np.squeeze(array.astype(float))
+    array = np.atleast_1d(np.squeeze(array.astype(float)))
+    if (
+        array.ndim == 2
+        and array.shape[0] <= _MOST_COLUMNS
+        and (array.shape[1] > _MOST_COLUMNS or array.shape[0] <= 4 and array.shape[1] >= 10)
+    ):
+        array = array.T  # a coordinate in each row
     if array.ndim == 1:
         columns[name] = array
     elif array.ndim == 2 and array.shape[1] <= _MOST_COLUMNS:
@@ -215,14 +197,19 @@ def _first_line(error: Exception) -> str:
     return (str(error) or type(error).__name__).splitlines()[0]
 
 
+_INSTEAD = {
+    ".xlsx": "; save the sheet as CSV",
+    ".xls": "; save the sheet as CSV",
+    ".ods": "; save the sheet as CSV",
+    ".tdms": "; export it as CSV",
+    ".npz": "; save it with scipy.io.savemat, or as CSV",
+    ".bag": "; export its topics as CSV",
+}
 _READERS = {
-    ".csv": _csv,
-    ".tsv": _csv,
-    ".txt": _csv,
+    **dict.fromkeys((".csv", ".tsv", ".txt", ".dat", ".asc", ".lvm", ".trc"), read_text),
     ".mat": _mat,
     ".h5": _hdf5,
     ".hdf5": _hdf5,
     ".parquet": _parquet,
     ".c3d": _c3d,
 }
-SUFFIXES = tuple(_READERS)

@@ -12,6 +12,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from calibration.clocks import first_gap
 from calibration.recording import Recording, RecordingError
 
 _LEAST_SAMPLES = 10
@@ -59,7 +60,11 @@ def split(recording: Recording, duration: float, lead: float) -> list[Recording]
         before = window.times < edges[k]
         after = np.zeros_like(before) if last else window.times >= edges[k + 1]
         tip = np.where((before | after)[:, None], np.nan, window.tip_positions)
-        if np.count_nonzero(np.all(np.isfinite(tip), axis=1)) < _LEAST_SAMPLES:
+        gap = first_gap(window)
+        known = replace(window, tip_positions=tip).has_tip
+        if np.count_nonzero(known if gap is None else known & (window.times < gap[0])) < (
+            _LEAST_SAMPLES
+        ):
             continue
         windows.append(
             replace(
@@ -76,8 +81,7 @@ def split(recording: Recording, duration: float, lead: float) -> list[Recording]
 def _quietest(recording: Recording, low: float, high: float) -> tuple[float, float]:
     """The time [s] between `low` and `high` at which the tip moves least, and by how much it moves
     there within a few samples, as a part of its range. `high` and 0 if no tip is known there."""
-    known = recording.has_tip
-    times, tip = recording.times[known], recording.tip_positions[known]
+    times, tip = recording.track
     inside = np.flatnonzero((times >= low) & (times <= high))
     inside = inside[inside + _LOOK <= len(tip)]
     if not len(inside):

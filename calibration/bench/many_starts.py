@@ -14,8 +14,8 @@ import softrod_jax as sr
 from calibration.examples import example_paths
 from calibration.examples.make_example import TRUTH
 from calibration.fit import calibrate
+from calibration.loading import load_recording
 from calibration.parameters import with_values
-from calibration.recording import load_recording
 from calibration.setup import Setup
 
 
@@ -33,9 +33,7 @@ def main() -> None:
     others = [s for s in fit.starts if any(s.initial[n] != getattr(truth, n) for n in TRUTH)]
     found = 0
     for s in others:
-        inside = all(
-            e.ci95[0] <= s.values[name] <= e.ci95[1] for name, e in fit.parameters.items()
-        )
+        inside = all(e.ci95[0] <= s.values[name] <= e.ci95[1] for name, e in fit.parameters.items())
         found += inside
         ratios = ", ".join(
             f"{n} {s.initial[n] / float(getattr(truth, n)):.2f} -> "

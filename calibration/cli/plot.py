@@ -72,8 +72,8 @@ def run(args) -> int:
     except ImportError as e:
         raise UsageError(f"{e}: pip install 'softrod_jax[plots]'") from None
     if scene_path is None:
+        from calibration.loading import load_recording
         from calibration.log_plot import log_figure
-        from calibration.recording import load_recording
 
         _save(log_figure(load_recording(log_path)), out)
         return _written(out)
@@ -145,8 +145,8 @@ def _draw_equilibrium(args, scene, out) -> int:
 def _draw_motion(args, scene, log_path, out, kind) -> int:
     import numpy as np
 
+    from calibration.loading import load_recording
     from calibration.log_plot import log_figure
-    from calibration.recording import load_recording
     from softrod_jax.pictures import animate
 
     log = load_recording(log_path, scene, need_tip=False)
@@ -187,7 +187,8 @@ def _compare(args, log, trajectory, length) -> None:
     clock, tip = log.times[known] - log.times[0], log.tip_positions[known]
     ts, path = np.asarray(trajectory.ts), np.asarray(trajectory.tip_positions)
     there = np.stack([np.interp(clock, ts, column) for column in path.T], axis=1)
-    distance = np.linalg.norm(there - tip, axis=1)
+    # Coordinates that were not measured say nothing.
+    distance = np.linalg.norm(np.nan_to_num(there - tip), axis=1)
     if distance[0] > _FAR * length and not args.from_static:
         note(
             f"the log's tip starts {1e3 * distance[0]:.3g} mm from where the rod does: if that was "

@@ -162,9 +162,11 @@ def _inputs(args, scene):
         )
     if args.tension is not None or args.pressure is not None:
         raise UsageError("--log already gives the inputs: leave --tension and --pressure out")
-    from calibration.recording import load_recording
+    from calibration.loading import load_recording
 
     log = load_recording(args.log, scene, need_tip=False)
+    for assumption in log.notes:
+        note(f"--log {args.log}: {assumption}")
     clock = log.times - log.times[0]
     duration = args.duration if args.duration is not None else float(clock[-1])
     if duration == 0:
