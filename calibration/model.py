@@ -92,7 +92,9 @@ def simulate_motion(setup: Setup, batch: Batch, scheme, method) -> Motion:
         initial = sr.solve_static(scene, *first, method=method, throw=False)
         start_result = jnp.where(batch.hanging, initial.result, 0)
         strain = jnp.where(batch.hanging, initial.point_strains, _rest_strain(scene))
-        initial = eqx.tree_at(lambda i: i.point_strains, initial, strain)
+        initial = eqx.tree_at(
+            lambda i: (i.point_strains, i.result), initial, (strain, start_result)
+        )
     after_start = lambda x: None if x is None else x[1:]
     tensions, pressures = after_start(tensions), after_start(pressures)
     if setup.release_duration is not None and tensions is None and pressures is None:
@@ -109,14 +111,13 @@ def simulate_motion(setup: Setup, batch: Batch, scheme, method) -> Motion:
         newton=NEWTON,
         throw=False,
     )
-    result = jnp.where(start_result != 0, start_result, trajectory.result)
     positions, velocities = trajectory.tip_positions, trajectory.tip_velocities
     if setup.sensor_offset is not None:
         attitude = trajectory.quaternions[:, -1]
         turning = jnp.cross(trajectory.velocities[:, -1, 3:], setup.sensor_offset)
         positions = positions + rotated(attitude, setup.sensor_offset)
         velocities = velocities + rotated(attitude, turning)
-    return Motion(positions, velocities, trajectory.positions, result)
+    return Motion(positions, velocities, trajectory.positions, trajectory.result)
 
 
 def driven(batch: Batch, drifted: Float[Array, "windows"]) -> Batch:

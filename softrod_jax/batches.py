@@ -15,6 +15,7 @@ import numpy as np
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
 
 from softrod_jax.compiling import compiled
+from softrod_jax.inputs import is_traced
 
 _SAMPLES = "samples"
 
@@ -79,7 +80,7 @@ def spread(function: Callable, devices=None, *, gather: bool = True) -> Callable
                 f"spread: {count} samples on {devices.size} devices; without gather, a multiple "
                 "of the number of devices is needed"
             )
-        traced = any(isinstance(x, jax.core.Tracer) for x in jax.tree.leaves(arguments))
+        traced = is_traced(arguments)
         if several and not traced:
             _check_same(arguments, rows, everywhere)
         if missing:

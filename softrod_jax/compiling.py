@@ -5,7 +5,6 @@ from collections.abc import Callable
 
 import equinox as eqx
 import jax
-import jax.numpy as jnp
 
 from softrod_jax.inputs import is_traced
 
@@ -27,9 +26,7 @@ def compiled(function: Callable, jit: Callable = eqx.filter_jit) -> Callable:
 
     @functools.wraps(function)
     def call(*args):
-        # A constant made while something is traced is traced, too.
-        nested = is_traced(args) or is_traced(jnp.zeros(()))
-        return (inside if nested else outermost())(*args)
+        return (inside if is_traced(args) else outermost())(*args)
 
     return call
 

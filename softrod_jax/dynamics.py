@@ -1,24 +1,22 @@
 """Motion of a scene under inputs that change with time."""
 
-
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jaxtyping import Array, Float, Int
 
 from softrod_jax.collocation import Collocation
 from softrod_jax.compiling import compiled
-from softrod_jax.inputs import actuation, is_traced
-from softrod_jax.marching import march
+from softrod_jax.inputs import actuation, is_traced, time_step, whole_number
+from softrod_jax.marching import Beginning, march
 from softrod_jax.method import Method
 from softrod_jax.newton import NewtonOptions
 from softrod_jax.precision import require_float64
-from softrod_jax.restrictions import check_scene
-from softrod_jax.results import RESULTS, raise_unless_successful
+from softrod_jax.results import RESULTS, raise_unless_successful, without_derivative
 from softrod_jax.rod import clamp_pose, make_rod
 from softrod_jax.rotations import to_base
-from softrod_jax.scene import Scene, as_arrays
+from softrod_jax.scene import Scene
+from softrod_jax.scene_checks import checked_scene, usable_in_time
 from softrod_jax.statics import StaticSolution
 from softrod_jax.step_control import run_within
 from softrod_jax.time_schemes import SDIRK, TimeScheme
@@ -80,39 +78,36 @@ def simulate(
       differ in length, as the motion asks for. What was chosen is in `stats` as "substeps" and
       "intervals". Not under `jit`, `vmap` or `grad`, which need numbers beforehand: give them
       those found on a typical motion.
-    - `initial`: start from this equilibrium (same `method`); from the unloaded rod if `None`.
+    - `initial`: start from this equilibrium (same `method`); from the unloaded rod if `None`. One
+      that has not been found has no motion either: its code is that of the motion.
     - `scheme`: `SDIRK` or `BDFAlpha`. `method`: `Collocation` or `Shooting`.
     - `throw`: raise `SolveError` if a step fails; else see `Trajectory.result`.
 
     Works under `jit`, `vmap`, `grad` and `jacfwd`. Raises `ValueError` for inputs of the wrong
-    shape, negative tensions, a step dt <= 0, what contradicts `Scene.inextensible` or
-    `Scene.plane`, and without float64.
+    shape, negative tensions, a step dt <= 0, numbers that a scene cannot have, what contradicts
+    `Scene.inextensible` or `Scene.plane`, and without float64.
     """
     require_float64("simulate")
-    scene = as_arrays(scene)
-    check_scene("simulate", scene)
+    scene = checked_scene("simulate", scene)
     tensions, pressures = actuation("simulate", scene, tensions, pressures, ndim=2)
     steps = _count_steps(steps, tensions, pressures)
-    dt = jnp.asarray(dt, dtype=float)
-    if not isinstance(dt, jax.core.Tracer) and not (dt.ndim == 0 and 0 < dt < np.inf):
-        raise ValueError(f"simulate: dt={dt} s; a positive number is needed")
+    dt = time_step("simulate", dt)
     if initial is not None and initial.method != method:
         raise ValueError(
             "simulate: `initial` was solved with another method; give both the same `method`"
         )
-    strain = None if initial is None else initial.point_strains
-    if not isinstance(substeps, int) or substeps < 1:
-        raise ValueError(f"simulate: substeps={substeps!r}; a whole number from 1 is needed")
+    begin = None if initial is None else Beginning(initial.point_strains, initial.result)
+    substeps = whole_number("simulate", "substeps", substeps)
 
     def run(substeps, method=method):
         return _simulate(
-            scene, dt, tensions, pressures, strain, steps, substeps, scheme, method, newton
+            scene, dt, tensions, pressures, begin, steps, substeps, scheme, method, newton
         )
 
     if tolerance is None:
         trajectory = run(substeps)
     else:
-        if is_traced(scene, dt, tensions, pressures, strain):
+        if is_traced(scene, dt, tensions, pressures, begin, tolerance):
             raise ValueError(
                 f"simulate: tolerance={tolerance} under jit, vmap or grad; simulate a typical "
                 'motion with it first, and give as many substeps as its stats["substeps"] says'
@@ -140,7 +135,7 @@ def _count_steps(steps, tensions, pressures) -> int:
     lengths = {
         name: n
         for name, n in (
-            ("steps", steps),
+            ("steps", None if steps is None else whole_number("simulate", "steps", steps)),
             ("tensions", None if tensions is None else tensions.shape[0]),
             ("pressures", None if pressures is None else pressures.shape[0]),
         )
@@ -157,11 +152,11 @@ def _count_steps(steps, tensions, pressures) -> int:
 
 
 @compiled
-def _simulate(
-    scene, dt, tensions, pressures, strain, steps, substeps, scheme, method, options
-):
+def _simulate(scene, dt, tensions, pressures, begin, steps, substeps, scheme, method, options):
+    scene, dt, good = usable_in_time(scene, dt)
+    inputs = (tensions, pressures)
     strains, velocities, results, stats = march(
-        scene, dt, (tensions, pressures), strain, steps, substeps, scheme, method, options
+        scene, dt, inputs, begin, steps, substeps, scheme, method, options, good
     )
     base, h_base = clamp_pose(scene)
     positions, quaternions = jax.vmap(
@@ -169,17 +164,20 @@ def _simulate(
     )(strains)
     failed = results != RESULTS.successful
     error = _time_error(positions[:, -1], scheme, stats["substeps"])
-    return Trajectory(
-        ts=dt * jnp.arange(steps + 1),
-        tip_positions=positions[:, -1],
-        tip_velocities=to_base(quaternions[:, -1], velocities[:, -1, :3]),
-        positions=positions,
-        quaternions=quaternions,
-        strains=jax.vmap(method.outputs)(strains),
-        velocities=velocities,
-        result=results[-1],
-        failed_step=jnp.where(jnp.any(failed), jnp.argmax(failed), -1),
-        stats={**stats, "time_error": error / scene.length},
+    return without_derivative(
+        results[-1] != RESULTS.successful,
+        Trajectory(
+            ts=dt * jnp.arange(steps + 1),
+            tip_positions=positions[:, -1],
+            tip_velocities=to_base(quaternions[:, -1], velocities[:, -1, :3]),
+            positions=positions,
+            quaternions=quaternions,
+            strains=jax.vmap(method.outputs)(strains),
+            velocities=velocities,
+            result=results[-1],
+            failed_step=jnp.where(jnp.any(failed), jnp.argmax(failed), -1),
+            stats={**stats, "time_error": error / scene.length},
+        ),
     )
 
 

@@ -1,17 +1,22 @@
-"""Checks of tensions and pressures: what can be known at once raises, the rest becomes a code."""
+"""Checks of inputs: what can be known at once raises, the rest becomes a code."""
 
-import equinox as eqx
+import operator
+
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Array, Bool, Float
 
-from softrod_jax.rod import Rod
 from softrod_jax.scene import Scene
 
 
 def is_traced(*trees) -> bool:
-    """Whether any number in them is known only when the program runs (jit, vmap, grad)."""
-    return any(isinstance(x, jax.core.Tracer) for x in jax.tree.leaves(trees))
+    """Whether what is computed of these numbers is known only when the program runs.
+
+    So it is where one of them is traced (by `jit`, `vmap`, `grad`), and under `jit` and in the
+    loops of `jax.lax` for all that is computed, of constants as well.
+    """
+    return any(isinstance(x, jax.core.Tracer) for x in (*jax.tree.leaves(trees), jnp.zeros(())))
 
 
 def actuation(who: str, scene: Scene, tensions, pressures, ndim: int):
@@ -20,10 +25,11 @@ def actuation(who: str, scene: Scene, tensions, pressures, ndim: int):
     `ndim` 1: one value an actuator; 2: one row a step. Raises `ValueError` for an actuator that
     the scene does not have, a wrong shape, a value that is not finite, or a negative tension.
     """
+    given = tensions
     tensions = _checked(who, "tensions", "tendons", scene.tendons, tensions, ndim)
     pressures = _checked(who, "pressures", "chambers", scene.chambers, pressures, ndim)
-    if tensions is not None and not isinstance(tensions, jax.core.Tracer):
-        lowest = float(np.min(np.asarray(tensions), initial=0.0))
+    if tensions is not None and _is_number(given):
+        lowest = float(np.min(np.asarray(given), initial=0.0))
         if lowest < 0:
             raise ValueError(
                 f"{who}: tensions has a negative value, {lowest:g} N; a tendon can only pull"
@@ -31,10 +37,13 @@ def actuation(who: str, scene: Scene, tensions, pressures, ndim: int):
     return tensions, pressures
 
 
-def _checked(who, name, part, actuators, values, ndim):
-    if values is None:
+def _checked(who, name, part, actuators, given, ndim):
+    if given is None:
         return None
-    values = jnp.asarray(values, dtype=float)
+    try:
+        values = jnp.asarray(given, dtype=float)
+    except (TypeError, ValueError):
+        raise ValueError(f"{who}: {name} = {given!r} is not an array of numbers") from None
     if actuators is None:
         raise ValueError(
             f"{who}: {name} given, but the scene has no {part}; leave {name} out, or add {part}"
@@ -42,27 +51,54 @@ def _checked(who, name, part, actuators, values, ndim):
     count = actuators.count
     shape = f"({count},)" if ndim == 1 else f"(steps, {count})"
     if values.ndim != ndim or values.shape[-1] != count:
-        raise ValueError(
-            f"{who}: {name} has shape {values.shape}; the scene's {part} need {shape}"
-        )
-    if not isinstance(values, jax.core.Tracer) and not np.all(np.isfinite(values)):
+        raise ValueError(f"{who}: {name} has shape {values.shape}; the scene's {part} need {shape}")
+    if _is_number(given) and not np.all(np.isfinite(np.asarray(given, dtype=float))):
         raise ValueError(f"{who}: {name} has a value that is not finite")
     return values
 
 
-def valid_actuation(rod: Rod):
-    """The rod with traced inputs that cannot be solved set to zero, and whether all were good.
+def _is_number(given) -> bool:
+    """Whether it is known now; what becomes of it under `jit` is not."""
+    return not any(isinstance(x, jax.core.Tracer) for x in jax.tree.leaves(given))
+
+
+def time_step(who: str, dt) -> Float[Array, ""]:
+    """`dt` [s] as an array. Raises `ValueError` for a wrong shape, or unless it is above zero."""
+    complaint = ValueError(f"{who}: dt={dt} s; a positive number is needed")
+    try:
+        step = jnp.asarray(dt, dtype=float)
+    except (TypeError, ValueError):
+        raise complaint from None
+    if step.ndim != 0 or (_is_number(dt) and not 0 < float(dt) < np.inf):
+        raise complaint
+    return step
+
+
+def whole_number(who: str, name: str, value) -> int:
+    """`value` as Python's int. Raises `ValueError` unless it is a whole number from 1."""
+    try:
+        count = operator.index(value)
+    except TypeError:
+        count = 0
+    if count < 1 or isinstance(value, bool):
+        raise ValueError(f"{who}: {name}={value!r}; a whole number from 1 is needed")
+    return count
+
+
+def good_inputs(*inputs: Float[Array, "*rows actuators"] | None) -> Bool[Array, "*rows"]:
+    """Of (tensions, pressures), whether all are finite and no tendon pushes; of each row."""
+    tensions, pressures = inputs
+    good = jnp.array(True)
+    if tensions is not None:
+        good &= jnp.all(jnp.isfinite(tensions) & (tensions >= 0), axis=-1)
+    if pressures is not None:
+        good &= jnp.all(jnp.isfinite(pressures), axis=-1)
+    return good
+
+
+def zero_unless(good: Bool[Array, "*rows"], inputs):
+    """The inputs, (*rows, actuators) each, with zeros for rows that are not good.
 
     The zeros keep a bad sample's arithmetic finite; its result code says that it is no answer.
     """
-    good = jnp.array(True)
-    for x in (rod.tau, rod.n_ch, rod.m_ch):
-        if x is not None:
-            good &= jnp.all(jnp.isfinite(x))
-    if rod.tau is not None:
-        good &= jnp.all(rod.tau >= 0)
-    names = [n for n in ("tau", "n_ch", "m_ch") if getattr(rod, n) is not None]
-    pick = lambda r: [getattr(r, n) for n in names]
-    if names:
-        rod = eqx.tree_at(pick, rod, [jnp.where(good, x, jnp.zeros_like(x)) for x in pick(rod)])
-    return rod, good
+    return jax.tree.map(lambda x: jnp.where(good[..., None], x, 0.0), inputs)

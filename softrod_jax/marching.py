@@ -21,10 +21,10 @@ from softrod_jax.boundary_value import (
     solve_boundary_value,
 )
 from softrod_jax.inertial_search import Before, search_by_inertia
-from softrod_jax.inputs import valid_actuation
+from softrod_jax.inputs import good_inputs, zero_unless
 from softrod_jax.method import Guess
 from softrod_jax.newton import Borrowed, no_factors
-from softrod_jax.restrictions import fits_plane, in_space
+from softrod_jax.restrictions import in_space
 from softrod_jax.results import RESULTS
 from softrod_jax.rod import Rod, fastest_wave, full_strain, inner_strain, make_rod
 from softrod_jax.rod_ode import History, Layout, layout_of
@@ -56,6 +56,13 @@ class Fields(NamedTuple):
 
     strain: Float[Array, "points 6"]
     velocity: Float[Array, "points 6"]
+
+
+class Beginning(NamedTuple):
+    """The equilibrium in which a motion begins, and its result code."""
+
+    strain: Float[Array, "points 6"]
+    result: Int[Array, ""]
 
 
 class Stepping(NamedTuple):
@@ -100,16 +107,16 @@ class Running(NamedTuple):
     part: Float[Array, ""]
 
 
-def march(scene, dt, inputs, strain, steps, substeps, scheme, method, options) -> March:
+def march(scene, dt, inputs, begin, steps, substeps, scheme, method, options, good) -> March:
     """Move `scene` from rest under `inputs`, (tensions, pressures) as in `simulate`.
 
-    `strain` (points, 6) at the start, the unloaded rod's if `None`. `substeps`: a number, Python's
-    or traced, or a `LocalError`.
+    `begin`: a `Beginning`, the unloaded rod if `None`. `substeps`: a number, Python's or traced,
+    or a `LocalError`. `good`: whether there can be such a scene; see `scene_checks.py`.
     """
     first = jax.tree.map(lambda x: x[0], inputs)
-    stepping = make_stepping(scene, dt, first, strain, substeps, scheme, method, options)
+    stepping = make_stepping(scene, dt, first, begin, substeps, scheme, method, options, good)
     start = stepping.start()
-    course, restart = _course(inputs, steps, from_rest=strain is None)
+    course, restart = _course(inputs, steps, from_rest=begin is None)
     length = dt if isinstance(substeps, LocalError) else dt / substeps
     coefficients = scheme.coefficients(length, restart)
     _, (strains, velocities, results, stats) = jax.lax.scan(
@@ -121,7 +128,7 @@ def march(scene, dt, inputs, strain, steps, substeps, scheme, method, options) -
     return March(full_strain(strains, rod), in_space(velocities, rod.plane), results, stats)
 
 
-def make_stepping(scene, dt, actuation, strain, substeps, scheme, method, options) -> Stepping:
+def make_stepping(scene, dt, actuation, begin, substeps, scheme, method, options, good) -> Stepping:
     """The steps of `march`, one at a time.
 
     `actuation`, (tensions, pressures) of any step, says which actuators there are.
@@ -132,14 +139,17 @@ def make_stepping(scene, dt, actuation, strain, substeps, scheme, method, option
     spacing = scene.length / (method.points(1.0).shape[0] - 1)
 
     def rod_under(tau, pressure):
-        return valid_actuation(make_rod(scene, tau, pressure, spacing=spacing))
+        return make_rod(scene, tau, pressure, spacing=spacing)
 
-    fits = None if scene.plane is None else fits_plane(scene)
-    rod, _ = rod_under(*actuation)
+    rod = rod_under(*zero_unless(good_inputs(*actuation), actuation))
     layout = layout_of(rod, dynamic=True)
     guess = unloaded = unloaded_guess(method, layout, rod)
-    if strain is not None:
-        guess = guess._replace(strain=inner_strain(strain, rod))
+    first_code = jnp.where(good, RESULTS.successful, RESULTS.bad_input).astype(jnp.int32)
+    if begin is not None:
+        begun = good & jnp.all(jnp.isfinite(begin.strain))
+        inner = jnp.where(begun, inner_strain(begin.strain, rod), guess.strain)
+        guess = guess._replace(strain=inner)
+        first_code = jnp.where(good, begin.result, first_code)
     still = jnp.zeros((*guess.strain.shape[:-1], layout.pair))
     fields = Fields(guess.strain, still)
 
@@ -156,10 +166,7 @@ def make_stepping(scene, dt, actuation, strain, substeps, scheme, method, option
         def solve(c0, history, at, running):
             # Not above 1 by rounding: a tension that falls to zero would become negative.
             progress = jnp.minimum(first + at * part, 1.0)
-            rod, valid = rod_under(*course.at(progress, rise))
-            valid &= course.finite
-            if fits is not None:
-                valid &= fits
+            rod = rod_under(*course.at(progress, rise))
             # After a failure, an unloaded rod at rest costs a batch no iterations.
             alive = running.result == RESULTS.successful
             rod = scaled_loads(rod, jnp.where(alive, 1.0, 0.0))
@@ -179,7 +186,7 @@ def make_stepping(scene, dt, actuation, strain, substeps, scheme, method, option
                 lend_exact=scheme.stages == 1,
             )
             found, fields = solved.found, solved.fields
-            result = jnp.where(valid, found.result, RESULTS.bad_input).astype(jnp.int32)
+            result = jnp.where(course.good, found.result, RESULTS.bad_input).astype(jnp.int32)
             _, q, w, _, _ = layout.split(fields.y)
             # No answer depends on where the next search starts, or on estimates: they have no
             # derivatives to carry along.
@@ -200,7 +207,7 @@ def make_stepping(scene, dt, actuation, strain, substeps, scheme, method, option
         # After a failure the rod is held where it was: its numbers stay finite.
         ok = after.result == RESULTS.successful
         hold = lambda new, old: jax.tree.map(lambda a, b: jnp.where(ok, a, b), new, old)
-        memory = hold(new_memory, memory)
+        memory = hold(new_memory, jax.lax.stop_gradient(memory))
         last = ("guess", "loads", "rate")
         pick = lambda running: {name: getattr(running, name) for name in last}
         return (memory, after._replace(**hold(pick(after), pick(running)))), error
@@ -288,7 +295,7 @@ def make_stepping(scene, dt, actuation, strain, substeps, scheme, method, option
             steady,
             no_factors(equations.factorise, equations.start(guess)),
             none,
-            zero,
+            first_code,
             zero,
             none,
             none,
@@ -318,13 +325,13 @@ def tip_shift(error: Fields, of_integral: Fields, length, layout: Layout) -> Flo
 class Course(NamedTuple):
     """Inputs of every step: where each comes from, where it goes, and if it jumps there.
 
-    `finite`: whether all are; in their place are zeros that spoil no derivative.
+    `good`: whether all can be; in the place of those that cannot are zeros.
     """
 
     before: tuple
     now: tuple
     jumps: tuple
-    finite: Bool[Array, "steps"]
+    good: Bool[Array, "steps"]
 
     def at(self, progress, rise):
         """The inputs of one step at `progress` in [0, 1]; those that jump rise within `rise`."""
@@ -343,12 +350,11 @@ def _course(inputs, steps: int, from_rest: bool) -> tuple[Course, Bool[Array, "s
     At the first step all do. Before it all are zero, or, where the motion begins in an
     equilibrium, what they are in that step.
     """
-    rows = [jnp.all(jnp.isfinite(x), axis=1) for x in jax.tree.leaves(inputs)]
-    finite = functools.reduce(jnp.logical_and, rows, jnp.ones(steps, dtype=bool))
-    inputs = jax.tree.map(lambda x: jnp.where(finite[:, None], x, 0.0), inputs)
+    good = good_inputs(*inputs) & jnp.ones(steps, dtype=bool)
+    inputs = zero_unless(good, inputs)
     jumped = jax.tree.map(jumps, inputs)
     first = lambda x: jnp.zeros_like(x[:1]) if from_rest else x[:1]
     before = jax.tree.map(lambda x: jnp.concatenate([first(x), x[:-1]]), inputs)
     jump = [jnp.any(jump, axis=1) for jump in jax.tree.leaves(jumped)]
     restart = functools.reduce(jnp.logical_or, jump, jnp.arange(steps) == 0)
-    return Course(before, inputs, jumped, finite), restart
+    return Course(before, inputs, jumped, good), restart

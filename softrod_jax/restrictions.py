@@ -143,9 +143,3 @@ def misfits(scene: Scene) -> Iterator[tuple[str, object, str]]:
                 f'not in the plane "{scene.plane}" of the scene; expected 0 for {part.names}, '
                 "or no plane",
             )
-
-
-def check_scene(who: str, scene: Scene) -> None:
-    """Raise `ValueError` for what contradicts the scene's restrictions, where it is known."""
-    for key, value, remedy in misfits(scene):
-        raise ValueError(f"{who}: the scene's {key} = {value}: {remedy}")

@@ -26,8 +26,9 @@ class RESULTS(IntEnum):
 _MESSAGES = {
     RESULTS.successful: "successful",
     RESULTS.no_equilibrium: (
-        "no smooth equilibrium: along a stretch of the rod the tendons' pull shrinks a tendon "
-        "path to nothing; lower the tensions, or raise young_modulus"
+        "no smooth equilibrium: along a stretch of the rod the loads press a tendon's path, or the "
+        "rod itself, to nothing; lower the tensions, the suction or the other loads along the rod, "
+        "or raise young_modulus"
     ),
     RESULTS.diverged: (
         "Newton's method found no way on, nor did a continuation in the load or the time step; "
@@ -38,8 +39,9 @@ _MESSAGES = {
         "take a smaller dt"
     ),
     RESULTS.bad_input: (
-        "an input is not finite, or a tension is negative (a tendon can only pull), or the scene "
-        "has a plane and something in it is not in that plane"
+        "an input or a number of the scene cannot be: it is not finite or out of its range, or a "
+        "tension is negative (a tendon can only pull), or the scene has a plane and something in "
+        "it is not in that plane"
     ),
     RESULTS.inaccurate: (
         "the equations along the rod are solved on a grid too coarse for them; take more "
@@ -79,3 +81,9 @@ def raise_unless_successful(result, values, who: str):
             "Pass throw=False for a code per sample."
         )
     return values
+
+
+def without_derivative(failed, values):
+    """`values` which, where a sample has failed, do not depend on anything."""
+    held = lambda x: jnp.where(failed, jax.lax.stop_gradient(x), x)
+    return jax.tree.map(lambda x: held(x) if eqx.is_inexact_array(x) else x, values)

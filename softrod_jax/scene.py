@@ -5,18 +5,24 @@ differentiated. A part that is `None` is not in the scene, and nothing of it is 
 SI units. The rod lies along z of the base frame when it is straight.
 """
 
-
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from softrod_jax.ranges import number
 from softrod_jax.sections import Circle, Section
 
 Scalar = Float[Array, ""]
 
 # The planes that a scene may be in: across the rod, and along it.
 PLANES = ("xz", "yz")
+
+# By how much the norm of a unit quaternion may differ from one.
+_UNIT = 1e-6
+# Zero of these means that there are none.
+_LOAD = {"optional": True, "sizes": (3,), "zero_is_absent": True}
+_DAMPING = {"optional": True, "sizes": (0, 3), "at_least": 0, "zero_is_absent": True}
 
 
 class Tendons(eqx.Module):
@@ -25,7 +31,9 @@ class Tendons(eqx.Module):
     - `offsets` [m], (tendons, 2): x and y of each tendon in the section.
     """
 
-    offsets: Float[Array, "tendons 2"] = eqx.field(converter=jnp.asarray)
+    offsets: Float[Array, "tendons 2"] = number(
+        "m", sizes=(2,), per_actuator=True, harmless=0.01, converter=jnp.asarray
+    )
 
     @property
     def count(self) -> int:
@@ -49,8 +57,12 @@ class Chambers(eqx.Module):
     - `offsets` [m], (chambers, 2): x and y of each in the section.
     """
 
-    areas: Float[Array, "chambers"] = eqx.field(converter=jnp.asarray)
-    offsets: Float[Array, "chambers 2"] = eqx.field(converter=jnp.asarray)
+    areas: Float[Array, "chambers"] = number(
+        "m^2", above=0, per_actuator=True, harmless=0.01, converter=jnp.asarray
+    )
+    offsets: Float[Array, "chambers 2"] = number(
+        "m", sizes=(2,), per_actuator=True, harmless=0.01, converter=jnp.asarray
+    )
 
     @property
     def count(self) -> int:
@@ -60,14 +72,14 @@ class Chambers(eqx.Module):
 class Payload(eqx.Module):
     """A point mass [kg] on the axis at the tip: weight (if there is gravity) and inertia."""
 
-    mass: Scalar = eqx.field(converter=jnp.asarray)
+    mass: Scalar = number("kg", at_least=0, zero_is_absent=True, converter=jnp.asarray)
 
 
 class TipLoad(eqx.Module):
     """Dead loads at the tip, in the base frame: `force` [N] and `moment` [N m], (3,) each."""
 
-    force: Float[Array, "3"] | None = None
-    moment: Float[Array, "3"] | None = None
+    force: Float[Array, "3"] | None = number("N", **_LOAD)
+    moment: Float[Array, "3"] | None = number("N m", **_LOAD)
 
 
 class Scene(eqx.Module):
@@ -90,27 +102,32 @@ class Scene(eqx.Module):
     - `plane`: "xz" or "yz", the plane in which the rod stays; everything in the scene must be in
       it, forces and offsets along its axes, moments and curvatures about its normal.
 
-    Raises `ValueError` for any other plane, and where `inextensible` is not True or False.
+    Raises `ValueError` for any other plane, and where `inextensible` is not True or False. Whether
+    the numbers can be is checked by the calls that use them: see `scene_checks.py`.
     """
 
-    length: Scalar
+    length: Scalar = number("m", above=0, harmless=1.0)
     section: Section
-    young_modulus: Scalar
-    poisson_ratio: Scalar
-    density: Scalar
-    bending_damping: Float[Array, "..."] | None = None
-    shear_damping: Float[Array, "..."] | None = None
-    gravity: Float[Array, "3"] | None = None
-    drag_coefficient: Float[Array, "..."] | None = None
+    young_modulus: Scalar = number("Pa", above=0, harmless=1.0)
+    poisson_ratio: Scalar = number(above=-1, below=0.5)
+    density: Scalar = number("kg/m^3", above=0, harmless=1.0)
+    bending_damping: Float[Array, "..."] | None = number("N m^2 s", **_DAMPING)
+    shear_damping: Float[Array, "..."] | None = number("N s", **_DAMPING)
+    gravity: Float[Array, "3"] | None = number("m/s^2", **_LOAD)
+    drag_coefficient: Float[Array, "..."] | None = number("kg/m^2", **_DAMPING)
     tendons: Tendons | None = None
     chambers: Chambers | None = None
     payload: Payload | None = None
     tip_load: TipLoad | None = None
-    shear_correction: Scalar | None = None
-    rest_curvature: Float[Array, "3"] | None = None
-    rest_stretch: Float[Array, "3"] | None = None
-    base_position: Float[Array, "3"] | None = None
-    base_quaternion: Float[Array, "4"] | None = None
+    shear_correction: Scalar | None = number(optional=True, above=0, harmless=1.0)
+    rest_curvature: Float[Array, "3"] | None = number("1/m", optional=True, sizes=(3,))
+    rest_stretch: Float[Array, "3"] | None = number(
+        optional=True, sizes=(3,), harmless=(0.0, 0.0, 1.0)
+    )
+    base_position: Float[Array, "3"] | None = number("m", optional=True, sizes=(3,))
+    base_quaternion: Float[Array, "4"] | None = number(
+        optional=True, sizes=(4,), harmless=(1.0, 0.0, 0.0, 0.0)
+    )
     inextensible: bool = eqx.field(static=True, default=False)
     plane: str | None = eqx.field(static=True, default=None)
 
@@ -120,6 +137,16 @@ class Scene(eqx.Module):
         if self.plane is not None and self.plane not in PLANES:
             raise ValueError(f'Scene: plane={self.plane!r} is not offered; use "xz", "yz" or None')
 
+    def relations(self):
+        """What must hold besides the ranges: a field, whether it does, and what is expected."""
+        v, h = self.rest_stretch, self.base_quaternion
+        if v is not None:
+            yield "rest_stretch", v[2] > 0, lambda: "the third number, along the rod, is above 0"
+        if h is not None:
+            norm = (h**2).sum(-1) ** 0.5
+            expected = lambda: f"its norm is {norm:.6g}; expected 1 to {_UNIT:g}"
+            yield "base_quaternion", abs(norm - 1) <= _UNIT, expected
+
     @property
     def shear_modulus(self) -> Scalar:
         """G = E / (2 (1 + nu)) [Pa]."""
@@ -127,8 +154,16 @@ class Scene(eqx.Module):
 
 
 def as_arrays(scene: Scene) -> Scene:
-    """The scene with every number a float array, so that none is compiled in as a constant."""
-    return jax.tree.map(lambda x: jnp.asarray(x, dtype=float), scene)
+    """The scene with every number a float array, so that none is compiled in as a constant.
+
+    Lists of numbers become arrays, too.
+    """
+    return jax.tree.map(lambda x: jnp.asarray(x, dtype=float), scene, is_leaf=is_list)
+
+
+def is_list(x) -> bool:
+    """Whether it is a list of numbers, as Python writes an array."""
+    return type(x) in (list, tuple)
 
 
 def hybrid_robot(length: float = 0.1, gravity=None) -> Scene:

@@ -6,6 +6,7 @@ keys at once (a tendon must lie inside the section, a tube's bore be smaller tha
 in the scene's plane).
 """
 
+import dataclasses
 import tomllib
 from os import PathLike
 from pathlib import Path
@@ -18,6 +19,7 @@ from softrod_jax import scene_schema as schema
 from softrod_jax.precision import require_float64
 from softrod_jax.restrictions import misfits
 from softrod_jax.scene import Chambers, Payload, Scene, Tendons, TipLoad, as_arrays
+from softrod_jax.scene_checks import impossible
 from softrod_jax.scene_schema import SceneError, complaint, read_table
 from softrod_jax.sections import Annulus, Circle, GeneralSection, Rectangle
 
@@ -43,7 +45,9 @@ def load_scene(path: str | PathLike) -> Scene:
         document = tomllib.loads(text)
     except (ValueError, RecursionError) as e:
         raise SceneError(f"{path}: not a TOML file: {e}") from None
-    return _scene(document, f"{path}:")
+    # Its numbers are known, also where something is traced.
+    with jax.ensure_compile_time_eval():
+        return _scene(document, f"{path}:")
 
 
 def save_scene(scene: Scene, path: str | PathLike) -> None:
@@ -52,8 +56,11 @@ def save_scene(scene: Scene, path: str | PathLike) -> None:
     Raises `SceneError` if the scene could not be read back (an impossible value, a batch of
     scenes, tendons that are not straight) and `OSError` if the file cannot be written.
     """
+    if any(isinstance(x, jax.core.Tracer) for x in jax.tree.leaves(scene)):
+        raise SceneError(f"{path}: the scene is traced and has no numbers yet; save it outside jit")
     document = _document(scene, f"{path}:")
-    _scene(document, f"{path}:")
+    with jax.ensure_compile_time_eval():
+        _scene(document, f"{path}:")
     Path(path).write_text(_toml(document), encoding="utf-8")
 
 
@@ -62,13 +69,6 @@ def _scene(document: dict, file: str) -> Scene:
     top = read_table(document, schema.SCENE, file)
     rod = read_table(top["rod"], schema.ROD, f"{file} rod")
     rod["section"] = section = _section(rod["section"], f"{file} rod.section")
-    if rod.get("base_quaternion") is not None:
-        rod["base_quaternion"] = _unit(rod["base_quaternion"], f"{file} rod.base_quaternion")
-    if "rest_stretch" in rod and rod["rest_stretch"][2] <= 0:
-        value = rod["rest_stretch"].tolist()
-        where = f"{file} rod.rest_stretch"
-        raise SceneError(complaint(where, value, "the third number, along the rod, is above 0"))
-
     tendons = [
         _placed(entry, schema.TENDON, section, f"{file} tendons[{i}]")
         for i, entry in enumerate(top.get("tendons", []))
@@ -93,9 +93,9 @@ def _scene(document: dict, file: str) -> Scene:
             tip_load=TipLoad(**load) if has_load else None,
         )
     )
-    for key, value, remedy in misfits(scene):
+    for key, value, remedy in (*impossible(scene), *misfits(scene)):
         raise SceneError(complaint(f"{file} {key}", value, remedy))
-    return scene
+    return _unit(scene)
 
 
 def _stack(entries: list[dict], key: str):
@@ -110,14 +110,6 @@ def _section(table: dict, where: str):
     values = read_table(table, {"shape": schema.SHAPE, **keys}, where)
     del values["shape"]
     section = jax.tree.map(jnp.asarray, kind(**values))
-    if isinstance(section, Annulus) and section.inner_radius >= section.outer_radius:
-        raise SceneError(
-            complaint(
-                f"{where}.inner_radius",
-                table["inner_radius"],
-                f"expected less than outer_radius = {table['outer_radius']} [m]",
-            )
-        )
     return section
 
 
@@ -165,14 +157,13 @@ def _outline_area(section) -> float:
     return float(section.area)
 
 
-def _unit(quaternion: np.ndarray, where: str) -> np.ndarray:
-    norm = np.linalg.norm(quaternion)
-    if abs(norm - 1) > 1e-6:
-        raise SceneError(
-            complaint(where, quaternion.tolist(), f"its norm is {norm:.6g}; expected 1 to 1e-6")
-        )
-    # One that is normalised to rounding stays as it is, so that saving and loading is exact.
-    return quaternion if abs(norm - 1) < 4e-16 else quaternion / norm
+def _unit(scene: Scene) -> Scene:
+    """With the quaternion of the clamp normalised, to rounding."""
+    h = scene.base_quaternion
+    # One that is so already stays as it is, so that saving and loading is exact.
+    if h is None or abs(np.linalg.norm(h) - 1) < 4e-16:
+        return scene
+    return dataclasses.replace(scene, base_quaternion=h / np.linalg.norm(h))
 
 
 def _document(scene: Scene, file: str) -> dict:
@@ -205,7 +196,7 @@ def _document(scene: Scene, file: str) -> dict:
 
 def _values(part, keys: schema.Schema) -> dict:
     """The numbers of a part of the scene under their keys."""
-    numbers = [key for key, kind in keys.items() if isinstance(kind, schema.Number)]
+    numbers = [key for key, kind in keys.items() if isinstance(kind, schema.Numbers)]
     return {key: _plain(getattr(part, key)) for key in numbers if getattr(part, key) is not None}
 
 

@@ -1,17 +1,18 @@
 """What a scene file may hold: each key's shape, unit and range, and the check of one table.
 
-The tables below are the whole format. `read_table` is the one place that looks at a key, so
+The tables below are the whole format; what numbers can be is said by the classes of the scene
+(`ranges.py`). `read_table` is the one place that looks at a key, so
 every complaint has the same form: file, key, value, what is allowed.
 """
 
-import math
 from dataclasses import dataclass
 from difflib import get_close_matches
 from typing import Any
 
 import numpy as np
 
-from softrod_jax.scene import PLANES
+from softrod_jax.ranges import Number, is_required, numbers_of
+from softrod_jax.scene import PLANES, Chambers, Payload, Scene, Tendons, TipLoad
 from softrod_jax.sections import Annulus, Circle, GeneralSection, Rectangle
 
 
@@ -20,36 +21,14 @@ class SceneError(ValueError):
 
 
 @dataclass(frozen=True)
-class Number:
-    """A number or a list of numbers, in `unit`, each within the range.
+class Numbers:
+    """A number or a list of numbers, within the range that a class of the scene declares."""
 
-    - `sizes`: the shapes allowed; 0 is a number, n a list of n numbers.
-    - `above`, `below` exclude their bound, `at_least` includes it.
-    - `zero_is_absent`: zero throughout means that the effect is not in the scene.
-    """
-
-    unit: str = ""
-    sizes: tuple[int, ...] = (0,)
-    above: float = -math.inf
-    at_least: float = -math.inf
-    below: float = math.inf
+    number: Number
     required: bool = False
-    zero_is_absent: bool = False
 
     def __str__(self) -> str:
-        shapes = ["a number" if n == 0 else f"a list of {n} numbers" for n in self.sizes]
-        bounds = [
-            f"{words} {bound:g}"
-            for words, bound in (
-                ("above", self.above),
-                ("at least", self.at_least),
-                ("below", self.below),
-            )
-            if math.isfinite(bound)
-        ]
-        unit = f" [{self.unit}]" if self.unit else ""
-        text = " or ".join(shapes) + unit
-        return text + (", " + " and ".join(bounds) if bounds else ", finite")
+        return str(self.number)
 
     def read(self, value: Any, where: str) -> np.ndarray | None:
         """`value` as a float64 array of shape () or (n,); None where zero means absent.
@@ -57,16 +36,15 @@ class Number:
         Raises `SceneError`.
         """
         size, items = (len(value), value) if isinstance(value, list) else (0, [value])
-        if size not in self.sizes or not all(_is_number(x) for x in items):
+        if size not in self.number.sizes or not all(_is_number(x) for x in items):
             raise SceneError(complaint(where, value, f"expected {self}"))
         try:
             array = np.array(value, dtype=np.float64)
         except OverflowError:
-            array = np.array(math.inf)
-        fits = np.isfinite(array) & (array > self.above) & (array >= self.at_least)
-        if not np.all(fits & (array < self.below)):
+            array = np.array(np.inf)
+        if not np.all(self.number.fits(array, np)):
             raise SceneError(complaint(where, value, f"expected {self}"))
-        if self.zero_is_absent and not np.any(array):
+        if self.number.zero_is_absent and not np.any(array):
             return None
         return array
 
@@ -125,10 +103,18 @@ class Flag:
         return value
 
 
-Schema = dict[str, Number | Table | Tables | Word | Flag]
+Schema = dict[str, Numbers | Table | Tables | Word | Flag]
 
-_SIZE = Number("m", above=0, required=True)
-_DAMPING = {"sizes": (0, 3), "at_least": 0, "zero_is_absent": True}
+
+def _numbers_of(kind: type) -> Schema:
+    """The numbers of a class of the scene, as one of its tables has them."""
+    return {
+        name.removesuffix("s") if number.per_actuator else name: Numbers(
+            number, is_required(kind, name)
+        )
+        for name, number in numbers_of(kind).items()
+    }
+
 
 SCENE: Schema = {
     "rod": Table(required=True),
@@ -139,55 +125,25 @@ SCENE: Schema = {
 }
 
 ROD: Schema = {
-    "length": _SIZE,
     "section": Table(required=True),
-    "young_modulus": Number("Pa", above=0, required=True),
-    "poisson_ratio": Number(above=-1, below=0.5, required=True),
-    "density": Number("kg/m^3", above=0, required=True),
-    "bending_damping": Number("N m^2 s", **_DAMPING),
-    "shear_damping": Number("N s", **_DAMPING),
-    "gravity": Number("m/s^2", sizes=(3,), zero_is_absent=True),
-    "drag_coefficient": Number("kg/m^2", **_DAMPING),
-    "shear_correction": Number(above=0),
-    "rest_curvature": Number("1/m", sizes=(3,)),
-    "rest_stretch": Number(sizes=(3,)),
-    "base_position": Number("m", sizes=(3,)),
-    "base_quaternion": Number(sizes=(4,)),
+    **_numbers_of(Scene),
     "inextensible": Flag(),
     "plane": Word(PLANES),
 }
 
 SECTIONS: dict[str, tuple[type, Schema]] = {
-    "circle": (Circle, {"radius": _SIZE}),
-    "annulus": (
-        Annulus,
-        {"outer_radius": _SIZE, "inner_radius": Number("m", at_least=0, required=True)},
-    ),
-    "rectangle": (Rectangle, {"width": _SIZE, "height": _SIZE}),
-    "general": (
-        GeneralSection,
-        {
-            "area": Number("m^2", above=0, required=True),
-            "second_moments": Number("m^4", sizes=(2,), above=0, required=True),
-            "torsion_constant": Number("m^4", above=0, required=True),
-        },
-    ),
+    name: (kind, _numbers_of(kind))
+    for name, kind in (
+        ("circle", Circle),
+        ("annulus", Annulus),
+        ("rectangle", Rectangle),
+        ("general", GeneralSection),
+    )
 }
 SHAPE = Word(tuple(SECTIONS), required=True)
 
-TENDON: Schema = {"offset": Number("m", sizes=(2,), required=True)}
-
-CHAMBER: Schema = {
-    "area": Number("m^2", above=0, required=True),
-    "offset": Number("m", sizes=(2,), required=True),
-}
-
-PAYLOAD: Schema = {"mass": Number("kg", at_least=0, required=True, zero_is_absent=True)}
-
-TIP_LOAD: Schema = {
-    "force": Number("N", sizes=(3,), zero_is_absent=True),
-    "moment": Number("N m", sizes=(3,), zero_is_absent=True),
-}
+TENDON, CHAMBER = _numbers_of(Tendons), _numbers_of(Chambers)
+PAYLOAD, TIP_LOAD = _numbers_of(Payload), _numbers_of(TipLoad)
 
 
 def read_table(table: dict, schema: Schema, where: str) -> dict:
@@ -216,10 +172,19 @@ def read_table(table: dict, schema: Schema, where: str) -> dict:
 
 def complaint(where: str, value: Any, allowed: str) -> str:
     """One line: where, the value as it stands, and what is allowed."""
-    text = repr(value)
-    if len(text) > 80:
-        text = text[:77] + "..."
-    return f"{where} = {text}: {allowed}"
+    return f"{shortened(where, 200)} = {shortened(_shown(value), 80)}: {allowed}"
+
+
+def shortened(text: str, most: int) -> str:
+    """`text`, or its beginning where it is longer than `most`."""
+    return text if len(text) <= most else text[: most - 3] + "..."
+
+
+def _shown(value: Any) -> str:
+    try:
+        return repr(value)
+    except (RecursionError, ValueError):  # nested too deep, or a whole number of many digits
+        return f"<{type(value).__name__}, too large to show>"
 
 
 def _join(where: str, key: str) -> str:

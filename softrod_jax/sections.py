@@ -8,11 +8,16 @@ Every section offers
 - `torsion_constant` [m^4]: `G * torsion_constant` is the torsional stiffness. It equals
   Ixx + Iyy for round sections only,
 - `contains(offset)`: whether a point of the section plane lies inside.
+
+What numbers a section can have it says where they are declared, and in `relations` what must hold
+between them.
 """
 
 import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
+
+from softrod_jax.ranges import number
 
 Scalar = Float[Array, ""]
 
@@ -20,7 +25,7 @@ Scalar = Float[Array, ""]
 class Circle(eqx.Module):
     """A solid circle."""
 
-    radius: Scalar
+    radius: Scalar = number("m", above=0, harmless=0.1)
 
     @property
     def area(self) -> Scalar:
@@ -41,8 +46,8 @@ class Circle(eqx.Module):
 class Annulus(eqx.Module):
     """A tube."""
 
-    outer_radius: Scalar
-    inner_radius: Scalar
+    outer_radius: Scalar = number("m", above=0, harmless=0.1)
+    inner_radius: Scalar = number("m", at_least=0, harmless=0.05)
 
     @property
     def area(self) -> Scalar:
@@ -56,6 +61,12 @@ class Annulus(eqx.Module):
     def torsion_constant(self) -> Scalar:
         return jnp.pi * (self.outer_radius**4 - self.inner_radius**4) / 2
 
+    def relations(self):
+        """What must hold between the numbers: a field, whether it does, and what is expected."""
+        outer = self.outer_radius
+        expected = lambda: f"expected less than outer_radius = {float(outer)} [m]"
+        yield "inner_radius", self.inner_radius < outer, expected
+
     def contains(self, offset):
         # The bore counts as inside: a chamber or a tendon may run through it.
         return jnp.hypot(offset[..., 0], offset[..., 1]) <= self.outer_radius
@@ -64,8 +75,8 @@ class Annulus(eqx.Module):
 class Rectangle(eqx.Module):
     """A rectangle, `width` along x and `height` along y."""
 
-    width: Scalar
-    height: Scalar
+    width: Scalar = number("m", above=0, harmless=0.1)
+    height: Scalar = number("m", above=0, harmless=0.1)
 
     @property
     def area(self) -> Scalar:
@@ -100,9 +111,9 @@ _ZETA_5 = 1.036927755143369926  # Riemann zeta(5): sum over odd n of n^-5 is 31/
 class GeneralSection(eqx.Module):
     """A section given by its numbers, for shapes that are not listed here."""
 
-    area: Scalar
-    second_moments: Float[Array, "2"]
-    torsion_constant: Scalar
+    area: Scalar = number("m^2", above=0, harmless=0.03)
+    second_moments: Float[Array, "2"] = number("m^4", sizes=(2,), above=0, harmless=1e-4)
+    torsion_constant: Scalar = number("m^4", above=0, harmless=1e-4)
 
     def contains(self, offset):
         # The outline is unknown: the radius of gyration bounds nothing, so accept.

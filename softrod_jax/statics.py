@@ -16,16 +16,17 @@ from softrod_jax.boundary_value import (
 )
 from softrod_jax.collocation import Collocation
 from softrod_jax.compiling import compiled
-from softrod_jax.inputs import actuation, is_traced, valid_actuation
+from softrod_jax.inputs import actuation, good_inputs, is_traced, zero_unless
 from softrod_jax.method import MOST_INTERVALS, Guess, Method
 from softrod_jax.newton import NewtonOptions
 from softrod_jax.precision import require_float64
-from softrod_jax.restrictions import check_scene, fits_plane, in_space
-from softrod_jax.results import RESULTS, raise_unless_successful
+from softrod_jax.restrictions import in_space
+from softrod_jax.results import RESULTS, raise_unless_successful, without_derivative
 from softrod_jax.rod import Rod, clamp_pose, full_strain, make_rod
 from softrod_jax.rod_ode import Layout, layout_of
 from softrod_jax.rotations import quaternion_exp, quaternion_product
-from softrod_jax.scene import Scene, as_arrays
+from softrod_jax.scene import Scene
+from softrod_jax.scene_checks import checked_scene, usable
 from softrod_jax.settling import settle
 
 # Continuation gives up when the next load step is a smaller part of the whole than this.
@@ -91,16 +92,15 @@ def solve_static(
     Under `jit`, `vmap` and `grad` the damped motion is not tried: such a sample has a code.
 
     Works under `jit`, `vmap`, `grad` and `jacfwd`. Raises `ValueError` for inputs of the wrong
-    shape, negative tensions, what contradicts `Scene.inextensible` or `Scene.plane`, and without
-    float64.
+    shape, negative tensions, numbers that a scene cannot have, what contradicts
+    `Scene.inextensible` or `Scene.plane`, and without float64.
     """
     require_float64("solve_static")
-    scene = as_arrays(scene)
-    check_scene("solve_static", scene)
+    scene = checked_scene("solve_static", scene)
     tensions, pressures = actuation("solve_static", scene, tensions, pressures, ndim=1)
     arguments = (scene, tensions, pressures)
     traced = is_traced(arguments)
-    if tolerance is not None and (traced or not 0 < tolerance < 1):
+    if tolerance is not None and (traced or is_traced(tolerance) or not 0 < tolerance < 1):
         raise ValueError(
             f"solve_static: tolerance={tolerance}; a part of the rod's length in (0, 1) is needed, "
             "and not under jit, vmap or grad: there, give a method with enough intervals"
@@ -132,7 +132,7 @@ def _solve(scene, tensions, pressures, method, options, traced):
 
 @compiled
 def _solve_static(scene, tensions, pressures, method, options):
-    rod, valid, layout, guess = _problem(scene, tensions, pressures, method)
+    scene, rod, valid, layout, guess = _problem(scene, tensions, pressures, method)
     solved = solve_boundary_value(method, layout, options, rod, None, guess, search_by_load)
     return _solution(scene, rod, method, solved, valid, jnp.zeros((), jnp.int32))
 
@@ -140,7 +140,7 @@ def _solve_static(scene, tensions, pressures, method, options):
 @compiled
 def _settled(scene, tensions, pressures, method, options):
     """By a damped motion, and Newton's method from where it comes to rest."""
-    rod, valid, layout, guess = _problem(scene, tensions, pressures, method)
+    scene, rod, valid, layout, guess = _problem(scene, tensions, pressures, method)
     rest = settle(method, layout, options, rod, guess)
     solved = solve_boundary_value(method, layout, options, rod, None, rest.guess)
     found = solved.found
@@ -150,12 +150,12 @@ def _settled(scene, tensions, pressures, method, options):
 
 
 def _problem(scene, tensions, pressures, method):
+    inputs = (tensions, pressures)
+    scene, valid = usable(scene, good_inputs(*inputs), *inputs)
+    tensions, pressures = zero_unless(valid, inputs)
     rod = make_rod(scene, tensions, pressures, dynamic=False)
     layout = layout_of(rod, dynamic=False)
-    rod, valid = valid_actuation(rod)
-    if scene.plane is not None:
-        valid &= fits_plane(scene)
-    return rod, valid, layout, unloaded_guess(method, layout, rod)
+    return scene, rod, valid, layout, unloaded_guess(method, layout, rod)
 
 
 def _solution(scene, rod, method, solved, valid, transient_steps):
@@ -164,7 +164,7 @@ def _solution(scene, rod, method, solved, valid, transient_steps):
     strain = full_strain(fields.strain, rod)
     positions, quaternions = method.shape(strain, rod.L, *clamp_pose(scene))
     wrench = method.outputs(fields.y)[:, -layout_of(rod, dynamic=False).pair :]
-    return StaticSolution(
+    solution = StaticSolution(
         tip_position=positions[-1],
         tip_quaternion=quaternions[-1],
         arc_lengths=method.outputs(method.points(rod.L)),
@@ -177,13 +177,16 @@ def _solution(scene, rod, method, solved, valid, transient_steps):
             "iterations": solved.found.iterations,
             "residual": solved.found.correction,
             "load_steps": solved.found.load_steps,
-            "stable": solved.found.stable,
+            "stable": solved.found.stable & valid,
             "error": fields.error,
             "transient_steps": transient_steps,
         },
         point_strains=strain,
         method=method,
     )
+    # On a coarse grid there is an answer, and so there is a derivative.
+    answered = (result == RESULTS.successful) | (result == RESULTS.inaccurate)
+    return without_derivative(~answered, solution)
 
 
 def unloaded_guess(method: Method, layout: Layout, rod: Rod) -> Guess:

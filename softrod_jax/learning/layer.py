@@ -12,10 +12,12 @@ from jaxtyping import Array, Float, Int
 
 from softrod_jax.collocation import Collocation
 from softrod_jax.dynamics import simulate
+from softrod_jax.inputs import time_step, whole_number
 from softrod_jax.method import Method
 from softrod_jax.newton import NewtonOptions
 from softrod_jax.precision import require_float64
-from softrod_jax.scene import Scene, as_arrays
+from softrod_jax.scene import Scene
+from softrod_jax.scene_checks import checked_scene
 from softrod_jax.statics import StaticSolution
 from softrod_jax.time_schemes import SDIRK, TimeScheme
 
@@ -66,13 +68,14 @@ class RodLayer(eqx.Module):
         newton: NewtonOptions = NewtonOptions(),  # noqa: B008
     ):
         require_float64("RodLayer")
-        self.untrained = scene = as_arrays(scene)
+        self.untrained = scene = checked_scene("RodLayer", scene)
         self.logarithms = {name: jnp.log(_positive(scene, name)) for name in positive}
         self.values = {name: _part(scene, name) for name in free}
         both = set(positive) & set(free)
         if both:
             raise ValueError(f"RodLayer: {sorted(both)} in `positive` and in `free`; name it once")
-        self.dt, self.substeps = jnp.asarray(dt, dtype=float), substeps
+        self.dt = time_step("RodLayer", dt)
+        self.substeps = whole_number("RodLayer", "substeps", substeps)
         self.scheme, self.method, self.newton = scheme, method, newton
 
     @property

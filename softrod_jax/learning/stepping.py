@@ -10,20 +10,21 @@ from typing import Any, NamedTuple
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from softrod_jax.collocation import Collocation
 from softrod_jax.compiling import compiled
-from softrod_jax.inputs import actuation
-from softrod_jax.marching import Course, make_stepping
+from softrod_jax.inputs import actuation, good_inputs, time_step, whole_number, zero_unless
+from softrod_jax.marching import Beginning, Course, make_stepping
 from softrod_jax.method import Method
 from softrod_jax.newton import NewtonOptions
 from softrod_jax.precision import require_float64
-from softrod_jax.restrictions import check_scene, in_space
+from softrod_jax.restrictions import in_space
+from softrod_jax.results import RESULTS, without_derivative
 from softrod_jax.rod import clamp_pose, full_strain, make_rod
 from softrod_jax.rotations import to_base
-from softrod_jax.scene import Scene, as_arrays
+from softrod_jax.scene import Scene
+from softrod_jax.scene_checks import checked_scene, usable, usable_in_time
 from softrod_jax.statics import StaticSolution
 from softrod_jax.time_schemes import SDIRK, TimeScheme
 
@@ -110,7 +111,8 @@ class Stepper(eqx.Module):
 
     A pytree, too: differentiate in `scene` and `dt`, or map over a batch of them.
     All its methods are pure and compiled; no failure of a step raises, see `RodState.result`.
-    Raises `ValueError` for a step dt <= 0, fewer than one substep, and without float64.
+    Raises `ValueError` for a step dt <= 0, fewer than one substep, numbers that a scene cannot
+    have, and without float64.
     """
 
     scene: Scene
@@ -131,13 +133,8 @@ class Stepper(eqx.Module):
         newton: NewtonOptions = NewtonOptions(),  # noqa: B008
     ):
         require_float64("Stepper")
-        dt = jnp.asarray(dt, dtype=float)
-        if not isinstance(dt, jax.core.Tracer) and not (dt.ndim == 0 and 0 < dt < np.inf):
-            raise ValueError(f"Stepper: dt={dt} s; a positive number is needed")
-        if not isinstance(substeps, int) or substeps < 1:
-            raise ValueError(f"Stepper: substeps={substeps!r}; a whole number from 1 is needed")
-        self.scene, self.dt, self.substeps = as_arrays(scene), dt, substeps
-        check_scene("Stepper", self.scene)
+        self.scene, self.dt = checked_scene("Stepper", scene), time_step("Stepper", dt)
+        self.substeps = whole_number("Stepper", "substeps", substeps)
         self.scheme, self.method, self.newton = scheme, method, newton
 
     def reset(
@@ -232,26 +229,29 @@ def reset_where(done: Bool[Array, ""], fresh: RodState, state: RodState) -> RodS
     return jax.tree.map(lambda a, b: jnp.where(done, a, b), fresh, state)
 
 
-def _stepping(stepper, action, strain=None):
-    return make_stepping(
-        stepper.scene,
-        stepper.dt,
+def _stepping(stepper, action, begin=None):
+    """The steps of `marching.py`, their length [s], and whether there can be such a scene."""
+    scene, dt, good = usable_in_time(stepper.scene, stepper.dt)
+    stepping = make_stepping(
+        scene,
+        dt,
         action,
-        strain,
+        begin,
         stepper.substeps,
         stepper.scheme,
         stepper.method,
         stepper.newton,
+        good,
     )
+    return stepping, dt, good
 
 
 @compiled
 def _reset(stepper, initial, action):
     from_rest = initial is None
-    strain = None if from_rest else initial.point_strains
-    memory, running = _stepping(stepper, action, strain).start()
-    if not from_rest:
-        running = running._replace(result=initial.result)
+    begin = None if from_rest else Beginning(initial.point_strains, initial.result)
+    stepping, _, _ = _stepping(stepper, action, begin)
+    memory, running = stepping.start()
     true = jnp.array(True)
     made_by = (stepper.scheme, stepper.method)
     return RodState(jnp.zeros(()), action, memory, running, true, true & from_rest, made_by)
@@ -259,19 +259,24 @@ def _reset(stepper, initial, action):
 
 @compiled
 def _step(stepper, state, action, jump):
-    good = [jnp.all(jnp.isfinite(x)) for x in jax.tree.leaves(action)]
-    finite = jnp.all(jnp.array([True, *good]))
-    # Zeros in the place of what is not finite spoil no derivative.
-    action = jax.tree.map(lambda x: jnp.where(finite, x, 0.0), action)
+    good = good_inputs(*action)
+    action = zero_unless(good, action)
     jumps = jax.tree.map(lambda x: jnp.broadcast_to(jump, x.shape), action)
-    course = Course(state.action, action, jumps, finite)
+    course = Course(state.action, action, jumps, good)
     restart = state.first | jump
-    length = stepper.dt / stepper.substeps
+    stepping, dt, possible = _stepping(stepper, action)
+    length = dt / stepper.substeps
     coefficients = stepper.scheme.coefficients(length, restart[None])[0]
-    before = (state.memory, state.running)
-    (memory, running), _ = _stepping(stepper, action).step(before, (coefficients, course))
+    running = state.running._replace(result=_unless_bad(possible, state.result))
+    (memory, running), _ = stepping.step((state.memory, running), (coefficients, course))
     no = jnp.array(False)
-    return RodState(state.time + stepper.dt, action, memory, running, no, no, state.made_by)
+    return RodState(state.time + dt, action, memory, running, no, no, state.made_by)
+
+
+def _unless_bad(good, result):
+    """The code so far, or of a stepper whose numbers have become such as cannot be."""
+    bad = ~good & (result == RESULTS.successful)
+    return jnp.where(bad, RESULTS.bad_input, result).astype(jnp.int32)
 
 
 @compiled
@@ -286,12 +291,13 @@ def _rollout(stepper, state, actions, jumps):
 
 @compiled
 def _view(stepper, state):
-    method, scene = stepper.method, stepper.scene
+    method, (scene, good) = stepper.method, usable(stepper.scene)
+    result = _unless_bad(good, state.result)
     rod = make_rod(scene)
     strains = full_strain(state.strains, rod)
     positions, quaternions = method.shape(strains, scene.length, *clamp_pose(scene))
     velocities = in_space(method.outputs(state.velocities), scene.plane)
-    return RodView(
+    view = RodView(
         time=state.time,
         tip_position=positions[-1],
         tip_velocity=to_base(quaternions[-1], velocities[-1, :3]),
@@ -299,5 +305,6 @@ def _view(stepper, state):
         quaternions=quaternions,
         strains=method.outputs(strains),
         velocities=velocities,
-        result=state.result,
+        result=result,
     )
+    return without_derivative(result != RESULTS.successful, view)

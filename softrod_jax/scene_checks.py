@@ -1,0 +1,156 @@
+"""Scenes that cannot be: what is known at once raises, and what is traced becomes a code.
+
+The ranges are those of `ranges.py`, for every number of the scene alike. A traced scene with a
+number that cannot be is replaced as a whole before anything is computed with it: the numbers of a
+failed sample stay finite, and so do the derivatives of its batch.
+"""
+
+import dataclasses
+from collections.abc import Iterator
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float
+
+from softrod_jax.ranges import ANY, Number, numbers_of
+from softrod_jax.restrictions import fits_plane, misfits
+from softrod_jax.rod import make_rod
+from softrod_jax.scene import Scene, as_arrays, is_list
+
+
+class _Part(NamedTuple):
+    """A number or an array of a scene, by its key in a scene file, and its range."""
+
+    key: str
+    number: Number
+    value: Any
+
+
+def checked_scene(who: str, scene: Scene) -> Scene:
+    """The scene as float arrays.
+
+    Raises `ValueError` for a number out of its range, an array of a wrong shape, and what
+    contradicts the scene's restrictions, where that is known.
+    """
+    if not isinstance(scene, Scene):
+        raise ValueError(
+            f"{who}: the scene is a {type(scene).__name__}; give a Scene, as load_scene returns it"
+        )
+    for key, value, remedy in impossible(scene):
+        raise ValueError(f"{who}: the scene's {key} = {value}: {remedy}")
+    scene = as_arrays(scene)
+    for key, value, remedy in misfits(scene):
+        raise ValueError(f"{who}: the scene's {key} = {value}: {remedy}")
+    return scene
+
+
+def impossible(scene: Scene) -> Iterator[tuple[str, Any, str]]:
+    """What cannot be, where it is known: key, value, remedy."""
+    parts = _parts(scene, "rod")
+    wrong = False
+    for part in parts:
+        for key, value in _unfit(part):
+            wrong = True
+            yield key, value, f"expected {part.number}"
+    if wrong:
+        return
+    as_array = lambda x: (jnp if _is_traced(x) else np).asarray(x)
+    known = jax.tree.map(as_array, scene, is_leaf=is_list)
+    for prefix, owner in (("rod", known), ("rod.section", known.section)):
+        for name, holds, expected in _relations(owner):
+            if not _is_traced(holds) and not np.all(holds):
+                yield f"{prefix}.{name}", np.asarray(getattr(owner, name)).tolist(), expected()
+    if scene.chambers is not None:
+        areas, offsets = (len(x) for x in (known.chambers.areas, known.chambers.offsets))
+        if areas != offsets:
+            yield "chambers", f"{areas} areas and {offsets} offsets", "expected one of each"
+
+
+def usable(scene: Scene, good=True, tensions=None, pressures=None) -> tuple[Scene, Bool[Array, ""]]:
+    """The scene, and whether all its numbers can be; where one cannot, a harmless scene.
+
+    `good`: whether all other inputs can be. `tensions` and `pressures`: constant ones. A rod whose
+    stiffness or mass overflows, or is lost in rounding, cannot be either.
+    """
+    parts, good = _parts(scene, "rod"), jnp.asarray(good)
+    for part in parts:
+        good &= jnp.all(part.number.fits(part.value, jnp))
+    for owner in (scene, scene.section):
+        for _, holds, _ in _relations(owner):
+            good &= jnp.all(holds)
+    if scene.plane is not None:
+        good &= fits_plane(scene)
+    rod = make_rod(scene, tensions, pressures)
+    for x in jax.tree.leaves(rod):
+        good &= jnp.all(jnp.isfinite(x))
+    for x in (rod.K_se, rod.K_bt, rod.rho_A, rod.rho_J):
+        good &= True if x is None else jnp.all(x > 0)
+    leaves, structure = jax.tree.flatten(scene)
+    leaves = [
+        jnp.where(good, x, jnp.asarray(part.number.harmless, dtype=float))
+        for x, part in zip(leaves, parts, strict=True)
+    ]
+    return jax.tree.unflatten(structure, leaves), good
+
+
+def usable_in_time(scene: Scene, dt) -> tuple[Scene, Float[Array, ""], Bool[Array, ""]]:
+    """As `usable`, with the time step `dt` [s]."""
+    scene, good = usable(scene, jnp.isfinite(dt) & (dt > 0))
+    return scene, jnp.where(good, dt, 1.0), good
+
+
+def _parts(module: eqx.Module, prefix: str) -> list[_Part]:
+    """All numbers, in the order of `jax.tree.leaves`."""
+    parts, ranges = [], numbers_of(type(module))
+    for field in dataclasses.fields(module):
+        value = getattr(module, field.name)
+        if value is None or field.metadata.get("static", False):
+            continue
+        within = "rod.section" if field.name == "section" else field.name
+        key = f"{prefix}.{field.name}"
+        if isinstance(value, eqx.Module):
+            parts += _parts(value, within)
+        elif field.name in ranges:
+            parts.append(_Part(key, ranges[field.name], value))
+        else:
+            # Of an actuator or a section that is not one of this package.
+            parts += [_Part(key, ANY, x) for x in jax.tree.leaves(value)]
+    return parts
+
+
+def _unfit(part: _Part) -> Iterator[tuple[str, Any]]:
+    """Its key and value if it cannot be; of an array with a row an actuator, those of the row."""
+    shown, known = part.value, not _is_traced(part.value)
+    try:
+        value = np.asarray(part.value) if known else jnp.asarray(part.value)
+    except (TypeError, ValueError):  # a list with rows of different lengths
+        value = None
+    if value is None or value.dtype.kind not in "biuf":
+        yield part.key, repr(shown)
+        return
+    if part.number is not ANY and not part.number.has_shape(value.shape):
+        yield part.key, f"{value.tolist() if known else ''} of shape {value.shape}".strip()
+        return
+    if not known:
+        return
+    fits = np.asarray(part.number.fits(value.astype(float), np))
+    if np.all(fits):
+        return
+    if not part.number.per_actuator:
+        yield part.key, value.tolist()
+        return
+    owner, name = part.key.rsplit(".", 1)
+    for i in np.flatnonzero(~fits.reshape(len(fits), -1).all(axis=1)):
+        yield f"{owner}[{i}].{name.removesuffix('s')}", value[i].tolist()
+
+
+def _is_traced(value) -> bool:
+    """Unlike `is_traced`, of a number that is given and not of what is made with it."""
+    return any(isinstance(x, jax.core.Tracer) for x in jax.tree.leaves(value))
+
+
+def _relations(owner):
+    return owner.relations() if hasattr(owner, "relations") else ()
