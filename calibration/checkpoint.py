@@ -67,11 +67,14 @@ class Checkpoint:
         try:
             content = json.loads(self.path.read_text(encoding="utf-8"))
             fit, done, x, loss = (content[k] for k in ("fit", "done", "x", "loss"))
+            x, loss = None if x is None else _vector(x), float(loss)
+            for start in done:
+                _vector(start["x"]), float(start["loss"]), str(start["result"])
         except OSError as e:
             raise CheckpointError(
                 f"{self.path}: nothing to go on from ({e.strerror or e}); start without resuming"
             ) from None
-        except (ValueError, KeyError, TypeError):
+        except (ValueError, KeyError, TypeError, OverflowError, RecursionError):
             raise CheckpointError(
                 f"{self.path}: not a checkpoint of a fit; start without resuming"
             ) from None
@@ -80,7 +83,15 @@ class Checkpoint:
                 f"{self.path}: is of a fit with another scene, other recordings or other settings; "
                 "give those, or start without resuming"
             )
-        self.done, self.x, self._loss = done, None if x is None else np.array(x), float(loss)
+        self.done, self.x, self._loss = done, x, loss
+
+
+def _vector(numbers) -> np.ndarray:
+    """Raises `ValueError` or `TypeError` for what is no list of numbers."""
+    x = np.array(numbers, dtype=float)
+    if x.ndim != 1:
+        raise ValueError("not a list of numbers")
+    return x
 
 
 def _fingerprint(problem: Problem, what: tuple) -> str:

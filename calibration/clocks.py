@@ -57,7 +57,7 @@ def find_gaps(
     ):
         if np.any(small):
             k = int(np.argmax(np.where(small, steps, 0)))
-            number = np.sum(small)
+            number = int(np.sum(small))
             notes.append(
                 f"{number} gap{'s'[: number > 1]} in the samples of {name}, of up to "
                 f"{steps[k]:.3g} s (at {times[k]:g} s): {what}"
@@ -66,8 +66,8 @@ def find_gaps(
     return Gaps(found, tuple(notes))
 
 
-def first_gap(recording) -> tuple[float, float] | None:
-    """The first (start, end) [s] in which the inputs of a recording are not known: as its reader
+def gaps_of(recording) -> list[tuple[float, float]]:
+    """All (start, end) [s] in which the inputs of a recording are not known, in time: as its reader
     found, or by its times."""
     gaps = list(recording.gaps)
     known = recording.times[recording.has_tip]
@@ -76,7 +76,7 @@ def first_gap(recording) -> tuple[float, float] | None:
         for column in () if inputs is None else inputs.T:
             whole = float(np.ptp(inputs))
             gaps += find_gaps(recording.times, column, "", whole, interval).open
-    return min(gaps, default=None)
+    return sorted(set(gaps))
 
 
 def check_overlap(path, name: str, own: np.ndarray, tip: np.ndarray, key: str) -> tuple[str, ...]:

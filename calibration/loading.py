@@ -3,6 +3,8 @@
 from os import PathLike
 from pathlib import Path
 
+import numpy as np
+
 from calibration.c3d import read_c3d
 from calibration.log import read_log
 from calibration.mapping import read_mapped
@@ -28,6 +30,12 @@ def load_recording(
 
     Raises `RecordingError` (a `ValueError`) naming file, row, column, value and remedy.
     """
+    # A number near the largest becomes infinite on the way, and is then out of reach.
+    with np.errstate(over="ignore", invalid="ignore"):
+        return _load(path, scene, mapping, need_tip, c3d_options)
+
+
+def _load(path, scene, mapping, need_tip, c3d_options) -> Recording:
     suffix = Path(path).suffix.lower()
     if c3d_options and (suffix != ".c3d" or mapping is not None):
         names = ", ".join(c3d_options)

@@ -15,6 +15,7 @@ from calibration.loads import without_noise_below_zero
 from calibration.plausible import Source, check_reach
 from calibration.recording import TIP_COLUMNS, Recording, RecordingError
 from calibration.text_files import read_lines
+from calibration.unseen import at_zero, base_is_zero
 
 
 def read_log(path: str | PathLike, scene=None, *, need_tip: bool = True) -> Recording:
@@ -27,11 +28,13 @@ def read_log(path: str | PathLike, scene=None, *, need_tip: bool = True) -> Reco
     """
     header, tendons, chambers, values, lines = _table(path, scene, need_tip)
     _check_values(values, header, lines, path)
-    tip = values[:, 1 + tendons + chambers :]
+    tip, unseen = values[:, 1 + tendons + chambers :], []
+    if scene is not None and tip.shape[1]:
+        tip, unseen = at_zero(tip, always=base_is_zero(scene))
     if need_tip and not np.any(np.isfinite(tip)):
         raise RecordingError(f"{path}: columns {', '.join(TIP_COLUMNS)}: every sample is missing")
     where = lambda i, k: f"{path}: row {lines[k]}, column tau{i + 1}_N"
-    tensions, notes = without_noise_below_zero(list(values[:, 1 : 1 + tendons].T), where)
+    tensions, clipped = without_noise_below_zero(list(values[:, 1 : 1 + tendons].T), where)
     recording = Recording(
         times=values[:, 0],
         tensions=np.stack(tensions, axis=1) if tendons else None,
@@ -39,7 +42,7 @@ def read_log(path: str | PathLike, scene=None, *, need_tip: bool = True) -> Reco
         tip_positions=tip if tip.shape[1] else np.full((len(values), 3), np.nan),
         name=Path(path).stem,
         source=str(path),
-        notes=notes,
+        notes=(*unseen, *clipped),
     )
     source = Source(
         [f"row {line}" for line in lines],
@@ -48,7 +51,7 @@ def read_log(path: str | PathLike, scene=None, *, need_tip: bool = True) -> Reco
         origin="with a mapping, [tip] rest = true or origin",
     )
     check_reach(recording, scene, source)
-    return replace(recording, notes=(*notes, *_gaps(recording)))
+    return replace(recording, notes=(*recording.notes, *_gaps(recording)))
 
 
 def _gaps(recording: Recording) -> list[str]:
@@ -128,12 +131,12 @@ def _check_header(header, path, scene, need_tip, encoding) -> tuple[int, int]:
             break
         if header[j] != wanted:
             quantity = wanted.rsplit("_", 1)[0]
-            problem = f"column {j + 1} is {header[j]!r}, expected {wanted!r}"
+            problem = f"column {j + 1} is {header[j][:60]!r}, expected {wanted!r}"
             if header[j].rsplit("_", 1)[0] == quantity:
                 problem += f"; convert it to {wanted.rsplit('_', 1)[1]} and rename it"
             break
     else:
-        problem = f"column {len(expected) + 1} is {header[len(expected)]!r}, one too many"
+        problem = f"column {len(expected) + 1} is {header[len(expected)][:60]!r}, one too many"
     letters = "" if encoding.startswith("utf") else f"; it is not UTF-8, and was read as {encoding}"
     raise RecordingError(
         f"{path}: row 1: {problem} ({whose} {', '.join(expected)}){letters}; a mapping reads "

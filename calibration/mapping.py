@@ -59,7 +59,7 @@ from calibration.recording import Recording, RecordingError
 from calibration.table import Table
 from calibration.tables import read_table
 from calibration.text_tables import TextOptions
-from calibration.unseen import at_zero
+from calibration.unseen import at_zero, base_is_zero
 
 _SHORT = {"tensions": "force", "pressures": "pressure"}
 _FILL = "fill it in or delete the row"
@@ -177,9 +177,10 @@ def _tip(table: Table, spec: Spec, clock: Clock, scene):
                 f"{marker.where}columns: {len(seen[-1])} samples, the tip has {count}"
             )
     notes = []
-    if origin is None and not seen:
-        for k, p in enumerate(placed):
-            placed[k], note = at_zero(p, always=not rest)
+    always = origin is None and not rest and not seen and base_is_zero(scene)
+    for several in (placed, seen):
+        for k, p in enumerate(several):
+            several[k], note = at_zero(p, always=always)
             notes += note
     there = ~np.isnan(clock)
     tip, seen = np.mean(placed, axis=0)[there], [s[there] for s in seen]

@@ -18,6 +18,9 @@ _AT_THE_CLAMP = 0.1
 # In the right unit the tip is at least once about as far from the clamp as the rod is long.
 _ABOUT_ITS_LENGTH = 0.6
 _FIRST = 5  # samples
+# A movement by less than this part of the rod is none.
+_MOVES = 1e-3
+_USUAL = ("mm", "cm", "m")
 _UNITS = {
     "mm": (1e-3, "millimetres"),
     "cm": (1e-2, "centimetres"),
@@ -109,20 +112,23 @@ def _others(source: Source):
 def _too_far(recording, rod: _Rod, source: Source, few: bool) -> str:
     if few:
         return "check the unit (m) and the origin or, if it is an outlier, leave its cells empty"
-    tip = recording.tip_positions
-    moved = np.nan_to_num(tip - recording.track[1][0])
-    moves = lambda factor: factor * np.max(np.linalg.norm(moved, axis=1)) > 1e-3 * rod.length
-    in_place = [x for x in _others(source) if rod.fits(x[2] * tip)]
-    for name, words, _ in in_place:
-        ask = f"is it in {words}? "
-        ask += (
-            "dividing it by 1000 would fit" if (source.now, name) == ("m", "mm") else "it would fit"
-        )
-        return f"{ask}: {source.unit} = '{name}'"
-    if source.origin is not None and moves(1.0) and rod.fits(moved + rod.tip):
+    tip, start = recording.tip_positions, recording.track[1][0]
+    moved = np.nan_to_num(tip - start)
+    moves = lambda factor: factor * np.max(np.linalg.norm(moved, axis=1)) > _MOVES * rod.length
+    elsewhere = source.origin is not None and moves(1.0) and rod.fits(moved + rod.tip)
+    for name, words, factor in _others(source):
+        # In a rare unit anything fits; there, it must begin about where a rod does, too.
+        begins = np.linalg.norm(factor * start - rod.tip) < _ABOUT_ITS_LENGTH * rod.length
+        if not rod.fits(factor * tip) or (elsewhere and not moves(factor)):
+            continue
+        if begins or name in _USUAL:
+            thousand = (source.now, name) == ("m", "mm")
+            ask = "dividing it by 1000 would fit" if thousand else "it would fit"
+            return f"is it in {words}? {ask}: {source.unit} = '{name}'"
+    if elsewhere:
         return f"it moves as such a rod may, about another place than the clamp: {source.origin}"
     for name, words, factor in _others(source) if source.origin is not None else ():
-        if moves(factor) and rod.fits(factor * moved + rod.tip):
+        if name in _USUAL and moves(factor) and rod.fits(factor * moved + rod.tip):
             return (
                 f"in {words}, and about another place than the clamp, it would move as such a rod "
                 f"may: {source.unit} = '{name}', and {source.origin}"

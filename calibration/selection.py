@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calibration.clocks import first_gap
+from calibration.clocks import gaps_of
 from calibration.onset import detect_onset
 from calibration.recording import Recording, RecordingError
 
@@ -59,7 +59,7 @@ def select(recording: Recording, window: tuple[float, float] | None) -> Selectio
         selection = Selection(start, end, "window given")
     else:
         selection = _default(recording)
-    gap = first_gap(recording)
+    gap = next(iter(gaps_of(recording)), None)
     if gap is not None and gap[0] < selection.end:
         # The motion after it depends on inputs that nobody knows.
         rule = f"{selection.rule}, but only up to {gap[0]:g} s, where the inputs have a gap"
@@ -69,9 +69,10 @@ def select(recording: Recording, window: tuple[float, float] | None) -> Selectio
         where, begin, end = recording.source or recording.name, *recording.times[[0, -1]]
         if gap is not None and gap[0] <= selection.end:
             raise RecordingError(
-                f"{where}: no inputs were recorded from {gap[0]:g} to {gap[1]:g} s, and before that "
-                f"are only {known} samples of the tip that can be used; fill the rows in, or give "
-                f"the part after it alone, from a moment of rest on (--window {gap[1]:g} {end:g})"
+                f"{where}: no inputs were recorded from {gap[0]:g} to {gap[1]:g} s, and before "
+                f"that are only {known} samples of the tip that can be used; fill the rows in, or "
+                "give the part after it alone, from a moment of rest on "
+                f"(--window {gap[1]:g} {end:g})"
             )
         raise RecordingError(
             f"{where}: {known} samples of the tip between {selection.start:g} and "

@@ -42,6 +42,10 @@ def read_table(path: str | PathLike, options: TextOptions = TextOptions()) -> Ta
         raise RecordingError(
             f"{path}: cannot read the recording: {e.strerror or _first_line(e)}"
         ) from None
+    except ValueError as e:
+        if isinstance(e, RecordingError):
+            raise
+        raise RecordingError(f"{path}: cannot read the recording: {e}") from None
     except MemoryError:
         raise RecordingError(f"{path}: does not fit into memory: cut it") from None
     if not table.columns:

@@ -53,7 +53,7 @@ def read_lines(path: str | PathLike, encoding: str | None = None) -> tuple[list[
     encoding = encoding or _encoding(content)
     try:
         text = content.decode(encoding)
-    except (UnicodeDecodeError, LookupError) as e:
+    except (ValueError, LookupError) as e:
         raise RecordingError(
             f"{path}: cannot be read as {encoding}: {e}; set [csv] encoding in the mapping"
         ) from None

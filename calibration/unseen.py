@@ -6,8 +6,13 @@ import numpy as np
 _STEPS = 3.0
 
 
+def base_is_zero(scene) -> bool:
+    """Whether the clamp is at the origin, where no tip can be."""
+    return scene.base_position is None or not np.any(np.asarray(scene.base_position))
+
+
 def at_zero(tip: np.ndarray, always: bool) -> tuple[np.ndarray, list[str]]:
-    """The tip (T, 3) with NaN where it was not seen, and a note if there are such samples.
+    """A marker (T, 3) with NaN where it was not seen, and a note if there are such samples.
 
     `always`: a tip at (0, 0, 0) is impossible, because the clamp is there. Otherwise zeros stay
     that the motion passes through or rests at, as of a log of displacements.
@@ -27,4 +32,4 @@ def at_zero(tip: np.ndarray, always: bool) -> tuple[np.ndarray, list[str]]:
         return tip, []
     tip = tip.copy()
     tip[at] = np.nan
-    return tip, [f"{len(at)} samples of the tip at exactly (0, 0, 0) are taken for missing"]
+    return tip, [f"{len(at)} samples of a marker at exactly (0, 0, 0) are taken for missing"]

@@ -12,7 +12,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from calibration.clocks import first_gap
+from calibration.clocks import gaps_of
 from calibration.recording import Recording, RecordingError
 
 _LEAST_SAMPLES = 10
@@ -45,11 +45,16 @@ def split(recording: Recording, duration: float, lead: float) -> list[Recording]
     edges = [begin + k * duration for k in range(count)] + [end]
     if count == 1:
         return [recording]
-    windows = []
+    windows, gaps = [], gaps_of(recording)
     for k in range(count):
         start, notes = begin, ()
         if k:
-            start, moving = _quietest(recording, edges[k] - lead - duration / 2, edges[k] - lead)
+            low, high = edges[k] - lead - duration / 2, edges[k] - lead
+            # Not before a gap in the inputs: the motion after it depends on what is not known.
+            known_from = max((end for _, end in gaps if end <= edges[k]), default=-np.inf)
+            if known_from > low:
+                low, high = known_from, max(high, known_from + lead)
+            start, moving = _quietest(recording, low, high)
             if moving > _STILL:
                 notes = (
                     f"the tip moves by {moving:.0%} of its range where the window's lead begins, "
@@ -60,7 +65,7 @@ def split(recording: Recording, duration: float, lead: float) -> list[Recording]
         before = window.times < edges[k]
         after = np.zeros_like(before) if last else window.times >= edges[k + 1]
         tip = np.where((before | after)[:, None], np.nan, window.tip_positions)
-        gap = first_gap(window)
+        gap = next(iter(gaps_of(window)), None)
         known = replace(window, tip_positions=tip).has_tip
         if np.count_nonzero(known if gap is None else known & (window.times < gap[0])) < (
             _LEAST_SAMPLES
