@@ -11,6 +11,8 @@ from os import PathLike
 
 import numpy as np
 
+from softrod_jax.whole_files import whole_file
+
 # The columns of the tip in a log.
 TIP_COLUMNS = ["tip_x_m", "tip_y_m", "tip_z_m"]
 
@@ -101,7 +103,7 @@ def write_log(
 
     `times` [s] (T,), `tensions` [N] (T, tendons), `pressures` [Pa] (T, chambers) and
     `tip_positions` [m] (T, 3), NaN where missing; columns of what is `None` are left out.
-    Raises `OSError` if the file cannot be written.
+    Raises `OSError` if the file cannot be written, which then stays as it was.
     """
     header, columns = ["t_s"], [np.reshape(times, (-1, 1))]
     if tensions is not None:
@@ -114,7 +116,7 @@ def write_log(
         header += TIP_COLUMNS
         columns.append(tip_positions)
     table = np.hstack([np.asarray(c, dtype=np.float64) for c in columns]).tolist()
-    with open(path, "w", newline="", encoding="utf-8") as file:
+    with whole_file(path, newline="", encoding="utf-8") as file:
         writer = csv.writer(file, lineterminator="\n")
         writer.writerow(header)
         writer.writerows([["" if math.isnan(x) else repr(x) for x in row] for row in table])

@@ -23,30 +23,32 @@ class RESULTS(IntEnum):
     inaccurate = 5
 
 
+# What happened, and what to do about it in Python.
 _MESSAGES = {
-    RESULTS.successful: "successful",
+    RESULTS.successful: ("successful", ""),
     RESULTS.no_equilibrium: (
         "no smooth equilibrium: along a stretch of the rod the loads press a tendon's path, or the "
-        "rod itself, to nothing; lower the tensions, the suction or the other loads along the rod, "
-        "or raise young_modulus"
+        "rod itself, to nothing",
+        "lower the tensions, the suction or the other loads along the rod, or raise young_modulus",
     ),
     RESULTS.diverged: (
-        "Newton's method found no way on, nor did a continuation in the load or the time step; "
-        "take a smaller dt, or smaller loads"
+        "Newton's method found no way on, nor did a continuation in the load or the time step",
+        "take a smaller dt, or smaller loads",
     ),
     RESULTS.max_iterations: (
-        "Newton's method did not converge in the iterations allowed; raise max_iterations, or "
-        "take a smaller dt"
+        "Newton's method did not converge in the iterations allowed",
+        "raise max_iterations, or take a smaller dt",
     ),
     RESULTS.bad_input: (
         "an input or a number of the scene cannot be: it is not finite or out of its range, or a "
         "tension is negative (a tendon can only pull), or the scene has a plane and something in "
-        "it is not in that plane"
+        "it is not in that plane",
+        "",
     ),
     RESULTS.inaccurate: (
-        "the equations along the rod are solved on a grid too coarse for them; take more "
-        "intervals, or shorter steps along the rod; with a tolerance: no steps and grid on offer "
-        "keep it; take a larger one, or loads that change less suddenly"
+        "the equations along the rod are solved on a grid too coarse for them",
+        "take more intervals, or shorter steps along the rod; with a tolerance: no steps and grid "
+        "on offer keep it; take a larger one, or loads that change less suddenly",
     ),
 }
 
@@ -55,9 +57,11 @@ class SolveError(RuntimeError):
     """Raised at the outermost call when a solve fails and `throw=True`."""
 
 
-def result_message(code) -> str:
-    """The message of a result code ("successful" for 0)."""
-    return _MESSAGES[RESULTS(int(code))]
+def result_message(code, remedy: str | None = None) -> str:
+    """The message of a result code ("successful" for 0), with this remedy if one is given."""
+    what, usual = _MESSAGES[RESULTS(int(code))]
+    remedy = usual if remedy is None else remedy
+    return f"{what}; {remedy}" if remedy else what
 
 
 def raise_unless_successful(result, values, who: str):
@@ -69,7 +73,7 @@ def raise_unless_successful(result, values, who: str):
     if isinstance(result, jax.core.Tracer):
         for code in RESULTS:
             if code != RESULTS.successful:
-                message = f"{who}: {_MESSAGES[code]}. Pass throw=False for a code per sample."
+                message = f"{who}: {result_message(code)}. Pass throw=False for a code per sample."
                 values = eqx.error_if(values, jnp.any(result == code), message)
         return values
     codes = np.asarray(result)

@@ -22,6 +22,7 @@ from softrod_jax.scene import Chambers, Payload, Scene, Tendons, TipLoad, as_arr
 from softrod_jax.scene_checks import impossible
 from softrod_jax.scene_schema import SceneError, complaint, read_table
 from softrod_jax.sections import Annulus, Circle, GeneralSection, Rectangle
+from softrod_jax.whole_files import whole_file
 
 
 def load_scene(path: str | PathLike) -> Scene:
@@ -61,7 +62,8 @@ def save_scene(scene: Scene, path: str | PathLike) -> None:
     document = _document(scene, f"{path}:")
     with jax.ensure_compile_time_eval():
         _scene(document, f"{path}:")
-    Path(path).write_text(_toml(document), encoding="utf-8")
+    with whole_file(path, encoding="utf-8") as file:
+        file.write(_toml(document))
 
 
 def _scene(document: dict, file: str) -> Scene:

@@ -8,7 +8,6 @@ as long as one process lives, and a next run does what is missing if none does.
 import hashlib
 import json
 import os
-import socket
 import zipfile
 from collections.abc import Callable
 from pathlib import Path
@@ -17,6 +16,7 @@ import jax
 import numpy as np
 
 from softrod_jax.batches import count_samples, digest, padded, spread
+from softrod_jax.whole_files import whole_file
 
 
 class SweepError(ValueError):
@@ -165,9 +165,5 @@ class _Store:
     @staticmethod
     def _replace(path: Path, write: Callable) -> None:
         """Never half a file, whenever the process is killed or the power goes."""
-        partial = path.with_name(f"{path.name}.{socket.gethostname()}-{os.getpid()}.part")
-        with open(partial, "wb") as file:
+        with whole_file(path, "wb") as file:
             write(file)
-            file.flush()
-            os.fsync(file.fileno())
-        os.replace(partial, path)

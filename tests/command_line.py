@@ -39,10 +39,22 @@ def asked(monkeypatch):
     """A solver that moves nothing, and what it was asked: tests of the command, not of the rod."""
     asked = SimpleNamespace(static=None, motion=None, static_result=0, failed_step=-1)
 
-    def solve_static(scene, tensions=None, pressures=None, *, throw):
-        asked.static = SimpleNamespace(tensions=tensions, pressures=pressures)
-        stats = {"residual": np.array(np.nan), "iterations": np.array(3)}
-        return SimpleNamespace(result=np.array(asked.static_result), stats=stats)
+    def solve_static(scene, tensions=None, pressures=None, *, throw, **options):
+        asked.static = SimpleNamespace(tensions=tensions, pressures=pressures, **options)
+        stats = {
+            "residual": np.array(np.nan),
+            "iterations": np.array(3),
+            "stable": np.array(True),
+            "error": np.array(1e-6),
+        }
+        method = options.get("method", sr.Collocation())
+        return SimpleNamespace(
+            result=np.array(asked.static_result),
+            tip_position=np.array([0.0, 0.0, 0.1]),
+            tip_quaternion=np.array([1.0, 0.0, 0.0, 0.0]),
+            stats=stats,
+            method=method,
+        )
 
     def simulate(scene, *, throw, **inputs):
         asked.motion = SimpleNamespace(**inputs)

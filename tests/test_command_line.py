@@ -34,6 +34,9 @@ def test_solve(capsys):
         "result",
         "tip_position",
         "tip_quaternion",
+        "stable",
+        "error",
+        "intervals",
         "residual",
         "iterations",
     ]
@@ -45,6 +48,43 @@ def test_solve(capsys):
     )
     assert np.allclose(content["tip_position"], tip, rtol=0, atol=1e-10)
     assert np.allclose(content["tip_quaternion"], turn, rtol=0, atol=1e-10)
+    assert content["stable"] is True and 0 <= content["error"] < 1e-6
+
+
+def test_solve_says_that_an_equilibrium_is_unstable(capsys):
+    """A wire under 3 EI / L^2 along its axis, beyond Euler's load of pi^2 / 4."""
+    force = 3 * 5e4 * np.pi * 6e-3**4 / 4 / 0.1**2
+    load = f"[tip_load]\nforce = [0.0, 0.0, {-force}]\n"
+    Path("column.toml").write_text(Path("chamber.toml").read_text() + load)
+    status, out, err = run(capsys, "solve", "column.toml", "--intervals", "6")
+    content = json.loads(out)
+    assert status == 0 and content["result"] == "successful"
+    assert content["stable"] is False and content["intervals"] == 6
+    assert "note: this equilibrium is unstable" in err
+
+
+def test_grid_of_a_solve(capsys, asked):
+    argv = ["solve", "robot.toml", "--intervals", "30", "--tolerance", "1e-5"]
+    _, out, _ = run(capsys, *argv)
+    assert (asked.static.method, asked.static.tolerance) == (sr.Collocation(30), 1e-5)
+    assert json.loads(out)["intervals"] == 30
+    asked.static_result = int(sr.RESULTS.inaccurate)
+    status, out, _ = run(capsys, "solve", "robot.toml")
+    assert status == 1
+    assert "--intervals" in json.loads(out)["result"] and "--tolerance" in json.loads(out)["result"]
+    # Whatever a message names is an option of the command.
+    for moving in (False, True):
+        for code in sr.RESULTS:
+            named = set(re.findall(r"--[a-z-]+", common.reason(code, moving)))
+            known = {"--intervals", "--tolerance"} | ({"--dt"} if moving else set())
+            assert named <= known
+            assert "max_iterations" not in common.reason(code, moving)
+
+
+def test_grid_of_a_motion(capsys, asked):
+    argv = ["simulate", "robot.toml", "--dt", "0.1", "--duration", "0.2", "--from-static"]
+    run(capsys, *argv, "--intervals", "7")
+    assert asked.static.method == asked.motion.method == sr.Collocation(7)
 
 
 @pytest.mark.long
@@ -140,7 +180,7 @@ def test_simulate_reports_a_failed_step(capsys, asked):
     content = json.loads(out)
     assert status == 1
     assert (content["failed_step"], content["steps"]) == (2, 5)
-    assert content["result"] == sr.result_message(2)
+    assert content["result"] == common.reason(2, moving=True)
     assert [tip is None for tip in content["tip_position"]] == [False] * 3 + [True] * 3
     has_tip = load_recording("out.csv", sr.hybrid_robot()).has_tip
     assert has_tip.tolist() == [True] * 3 + [False] * 3
@@ -195,7 +235,7 @@ def test_plot_asks_for_the_motion_of_the_log(capsys, asked):
     argv = ["plot", "robot.toml", "in.csv", "--out", "film.gif"]
     status, out, err = run(capsys, *argv, "--dt", "0.05", "--tolerance", "1e-3")
     assert (status, out) == (1, "")
-    assert err == f"softrod: failed: step 1, from 0.05 s: {sr.result_message(2)}\n"
+    assert err == f"softrod: failed: step 1, from 0.05 s: {common.reason(2, moving=True)}\n"
     assert not Path("film.gif").exists()
     assert asked.motion.dt == 0.05 and asked.motion.tolerance == 1e-3
     assert np.allclose(asked.motion.tensions[:, 0], [1.5, 2, 2, 2])

@@ -7,6 +7,9 @@ import os
 import sys
 from pathlib import Path
 
+# More are a typing error.
+_MOST_INTERVALS = 10_000
+
 
 class UsageError(ValueError):
     """A command line that cannot be: the message names the option, its value and the remedy."""
@@ -58,6 +61,63 @@ def positive(text: str) -> float:
     if value <= 0:
         raise argparse.ArgumentTypeError(f"{text} is not above 0")
     return value
+
+
+def part_of_length(text: str) -> float:
+    """A number between 0 and 1, for argparse."""
+    value = positive(text)
+    if value >= 1:
+        raise argparse.ArgumentTypeError(f"{text}: a part of the rod's length, below 1")
+    return value
+
+
+def intervals(text: str) -> int:
+    """How many intervals along the rod, for argparse."""
+    value = number(text)
+    if value != int(value) or not 1 <= value <= _MOST_INTERVALS:
+        raise argparse.ArgumentTypeError(f"{text}: a whole number from 1 to {_MOST_INTERVALS}")
+    return int(value)
+
+
+def add_grid(parser: argparse.ArgumentParser, tolerance: str) -> None:
+    """The options --intervals and --tolerance, of which the latter does `tolerance`."""
+    parser.add_argument(
+        "--intervals",
+        type=intervals,
+        metavar="N",
+        help="of the grid along the rod, each of order 6",
+    )
+    parser.add_argument("--tolerance", type=part_of_length, metavar="X", help=tolerance)
+
+
+def grid(args) -> dict:
+    """What --intervals and --tolerance say, for `solve_static` and `simulate`."""
+    import softrod_jax as sr
+
+    options = {}
+    if args.intervals is not None:
+        options["method"] = sr.Collocation(args.intervals)
+    if args.tolerance is not None:
+        options["tolerance"] = args.tolerance
+    return options
+
+
+def reason(code, moving: bool = False) -> str:
+    """The message of a result code, with the remedies that a command line has."""
+    from softrod_jax import RESULTS, result_message
+
+    finer = "give more --intervals, or a --tolerance"
+    slower = "give a smaller --dt, or smaller loads"
+    remedies = {
+        RESULTS.diverged: slower if moving else f"give smaller loads, or else {finer[5:]}",
+        RESULTS.max_iterations: slower if moving else f"give smaller loads, or else {finer[5:]}",
+        RESULTS.inaccurate: (
+            f"{finer} (a larger one, if there is one), or a smaller --dt"
+            if moving
+            else f"{finer} (a larger one, if there is one)"
+        ),
+    }
+    return result_message(code, remedies.get(RESULTS(int(code))))
 
 
 def add_actuation(parser: argparse.ArgumentParser) -> None:

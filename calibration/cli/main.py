@@ -7,8 +7,8 @@ Exit status: 0 done, 1 the computation did not succeed, 2 bad input. Results go 
 
 import argparse
 import os
+import re
 import sys
-from decimal import Decimal, InvalidOperation
 
 from calibration.cli import calibrate, doctor, plot, simulate, solve
 from calibration.cli.common import UsageError
@@ -25,6 +25,11 @@ COMMANDS = {
 class _Parser(argparse.ArgumentParser):
     """A parser whose complaints go the way of all others."""
 
+    def __init__(self, *args, **options):
+        super().__init__(*args, **options)
+        # Before Python 3.14, argparse takes -1e4 for an option, and -10000 not.
+        self._negative_number_matcher = re.compile(r"-(\.?\d|inf|nan)", re.IGNORECASE)
+
     def error(self, message):
         raise UsageError(f"{message} (see `{self.prog} --help`)")
 
@@ -35,8 +40,7 @@ def main(argv: list[str] | None = None) -> int:
     `--help` raises `SystemExit(0)`, as usual with argparse.
     """
     try:
-        argv = sys.argv[1:] if argv is None else argv
-        args = _parser().parse_args([_without_exponent(text) for text in argv])
+        args = _parser().parse_args(argv)
         status = args.run(args)
         sys.stdout.flush()
         return status
@@ -50,6 +54,8 @@ def main(argv: list[str] | None = None) -> int:
     except ValueError as e:
         # Both packages raise ValueError, and its subclasses, for bad input and say what to do.
         return _fail(str(e))
+    except MemoryError:
+        return _fail("more memory is needed than there is: give less data, or larger steps")
     except KeyboardInterrupt:
         print("softrod: interrupted", file=sys.stderr)
         return 130
@@ -72,16 +78,6 @@ def _parser() -> argparse.ArgumentParser:
         command.add_arguments(sub)
         sub.set_defaults(run=command.run)
     return parser
-
-
-def _without_exponent(text: str) -> str:
-    """A negative number without exponent: argparse takes -1e4 for an option, and -10000 not."""
-    if not text.startswith("-"):
-        return text
-    try:
-        return format(Decimal(text), "f")
-    except InvalidOperation:
-        return text
 
 
 def _fail(message: str) -> int:

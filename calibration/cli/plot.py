@@ -17,12 +17,16 @@ from calibration.cli.common import (
     UsageError,
     actuation,
     add_actuation,
+    add_grid,
     check_writable,
+    grid,
     note,
     positive,
     prepare_jax,
+    reason,
 )
 from calibration.cli.simulate import simulated
+from calibration.cli.solve import UNSTABLE
 
 _PICTURES, _FILMS = (".png", ".pdf", ".svg"), (".gif", ".html")
 # A log whose tip starts further from the straight rod's, in lengths of the rod, deserves a note.
@@ -40,6 +44,11 @@ def add_arguments(parser) -> None:
         "named after the log or the scene",
     )
     add_actuation(parser)
+    add_grid(
+        parser,
+        "refine the grid, and divide the steps of a motion, until the tip's estimated error is "
+        "below X lengths of the rod",
+    )
     motion = parser.add_argument_group("motions: a scene and a log")
     motion.add_argument(
         "--dt", type=positive, metavar="S", help="time step [s] (default: the log's median one)"
@@ -48,12 +57,6 @@ def add_arguments(parser) -> None:
         "--from-static",
         action="store_true",
         help="start from the equilibrium under the first inputs, not from the straight rod",
-    )
-    motion.add_argument(
-        "--tolerance",
-        type=positive,
-        metavar="X",
-        help="divide the steps until the tip's estimated error is below X lengths of the rod",
     )
     motion.add_argument("--speed", type=positive, metavar="X", help="of a film: 1 is real time (1)")
     motion.add_argument(
@@ -115,12 +118,13 @@ def _check_options(args, scene_path, log_path, out, kind) -> None:
     steps = {
         "--dt": args.dt,
         "--from-static": args.from_static or None,
-        "--tolerance": args.tolerance,
     }
+    rods = {"--intervals": args.intervals, "--tolerance": args.tolerance}
     film = {"--speed": args.speed, "--fps": args.fps}
     for allowed, options, remedy in (
         (log_path is None, inputs, "the log gives the inputs, or is drawn as it is"),
         (moves, steps, "for a scene and a log only"),
+        (scene_path is not None, rods, "for a scene only"),
         (kind in _FILMS, film, "for films only, --out FILE.gif or FILE.html"),
     ):
         given = [name for name, value in options.items() if value is not None]
@@ -135,9 +139,11 @@ def _draw_equilibrium(args, scene, out) -> int:
     from softrod_jax.pictures import picture
 
     tensions, pressures = actuation(args, scene)
-    solution = sr.solve_static(scene, tensions, pressures, throw=False)
+    solution = sr.solve_static(scene, tensions, pressures, throw=False, **grid(args))
     if int(solution.result) != 0:
-        return _failed(sr.result_message(solution.result))
+        return _failed(reason(solution.result))
+    if not bool(solution.stats["stable"]):
+        note(UNSTABLE)
     _save(picture(scene, solution, tensions, pressures), out)
     return _written(out)
 

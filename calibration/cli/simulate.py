@@ -6,6 +6,7 @@ the log's first sample.
 """
 
 import math
+import os
 import sys
 from typing import Any, NamedTuple
 
@@ -13,15 +14,20 @@ from calibration.cli.common import (
     UsageError,
     actuation,
     add_actuation,
+    add_grid,
     check_writable,
+    grid,
     note,
     positive,
     prepare_jax,
     print_json,
+    reason,
 )
+from calibration.cli.solve import UNSTABLE
 
-# More is a typing error, and would fill the memory before it is noticed.
-_MOST_STEPS = 10_000_000
+# A motion is kept as a whole, on every point of its grid. More than this [bytes], or than half of
+# what the machine has, is a typing error, and would fill the memory before it is noticed.
+_MOST_MEMORY = 4e9
 # Estimated errors of the tip, in lengths of the rod, that deserve a note.
 _LARGE_ERROR = 1e-2
 
@@ -48,11 +54,10 @@ def add_arguments(parser) -> None:
     )
     parser.add_argument("--out", metavar="FILE.csv", help="write the motion, as a log")
     parser.add_argument("--json", action="store_true", help="the whole motion as JSON on stdout")
-    parser.add_argument(
-        "--tolerance",
-        type=positive,
-        metavar="X",
-        help="divide the steps until the tip's estimated error is below X lengths of the rod",
+    add_grid(
+        parser,
+        "divide the steps, and refine the grid, until the tip's estimated error is below X lengths "
+        "of the rod",
     )
     parser.add_argument(
         "--alpha",
@@ -66,11 +71,7 @@ def _solver_options(args) -> dict:
     """What the command line says about the time stepping, for `simulate`."""
     import softrod_jax as sr
 
-    options = {"dt": args.dt}
-    if args.tolerance is not None:
-        if args.tolerance >= 1:
-            raise UsageError(f"--tolerance {args.tolerance:g}: a part of the length, below 1")
-        options["tolerance"] = args.tolerance
+    options = {"dt": args.dt, **grid(args)}
     if args.alpha is not None:
         if not -0.5 <= args.alpha <= 0:
             raise UsageError(f"--alpha {args.alpha:g}: from -0.5 to 0")
@@ -95,13 +96,19 @@ def simulated(args, scene) -> Motion:
     """The motion that the options of this command ask for."""
     import softrod_jax as sr
 
+    options = _solver_options(args)
     steps, tensions, pressures = _inputs(args, scene)
     initial = None
     if args.from_static:
-        initial = sr.solve_static(scene, _row(tensions, 0), _row(pressures, 0), throw=False)
+        first = _row(tensions, 0), _row(pressures, 0)
+        initial = sr.solve_static(scene, *first, throw=False, **grid(args))
         if int(initial.result) != 0:
-            reason = f"--from-static: {sr.result_message(initial.result)}"
-            return Motion(steps, tensions, pressures, None, reason)
+            why = f"--from-static: {reason(initial.result)}"
+            return Motion(steps, tensions, pressures, None, why)
+        if not bool(initial.stats["stable"]):
+            note(f"--from-static: {UNSTABLE}")
+        # The motion goes on where the equilibrium was found.
+        options["method"] = initial.method
     trajectory = sr.simulate(
         scene,
         tensions=_row(tensions, slice(1, None)),
@@ -109,10 +116,9 @@ def simulated(args, scene) -> Motion:
         steps=steps,
         initial=initial,
         throw=False,
-        **_solver_options(args),
+        **options,
     )
-    reason = sr.result_message(trajectory.result)
-    return Motion(steps, tensions, pressures, trajectory, reason)
+    return Motion(steps, tensions, pressures, trajectory, reason(trajectory.result, moving=True))
 
 
 def run(args) -> int:
@@ -156,7 +162,7 @@ def _inputs(args, scene):
     if args.log is None:
         if args.duration is None:
             raise UsageError("--duration is needed (only a --log has one of its own)")
-        steps = _whole_steps(args.duration, args.dt)
+        steps = _whole_steps(args, args.duration)
         return steps, *(
             None if x is None else np.tile(x, (steps + 1, 1)) for x in actuation(args, scene)
         )
@@ -171,7 +177,7 @@ def _inputs(args, scene):
     duration = args.duration if args.duration is not None else float(clock[-1])
     if duration == 0:
         raise UsageError(f"--log {args.log}: one row has no duration; give --duration")
-    steps = _whole_steps(duration, args.dt)
+    steps = _whole_steps(args, duration)
     ts = args.dt * np.arange(steps + 1)
     if ts[-1] > clock[-1] + 0.5 * args.dt:
         note(f"the log ends after {clock[-1]:g} s; its last inputs are held from there on")
@@ -181,13 +187,9 @@ def _inputs(args, scene):
     )
 
 
-def _whole_steps(duration: float, dt: float) -> int:
-    ratio = duration / dt
-    if ratio > _MOST_STEPS:
-        raise UsageError(
-            f"--duration {duration:g} with --dt {dt:g} makes {ratio:.3g} steps; at most "
-            f"{_MOST_STEPS:g} are allowed"
-        )
+def _whole_steps(args, duration: float) -> int:
+    dt, ratio = args.dt, duration / args.dt
+    _check_memory(args, duration, ratio)
     steps = round(ratio)
     if duration < dt and not math.isclose(ratio, 1):
         raise UsageError(f"--duration {duration:g} is shorter than one step, --dt {dt:g}")
@@ -197,6 +199,31 @@ def _whole_steps(duration: float, dt: float) -> int:
             f"steps, {steps * dt:g} s"
         )
     return steps
+
+
+def _check_memory(args, duration: float, steps: float) -> None:
+    import softrod_jax as sr
+
+    nodes = 1 + (args.intervals or sr.Collocation().intervals)
+    # Of each step: thrice the strains at 4 points of an interval, all that is seen at the nodes,
+    # and the tip as text; as measured.
+    needed = steps * 8 * (72 * nodes + 25 * nodes + 100)
+    most = min(_MOST_MEMORY, 0.5 * _memory())
+    if needed > most:
+        raise UsageError(
+            f"--duration {duration:g} with --dt {args.dt:g} makes {steps:.3g} steps, which take "
+            f"{needed / 1e9:.3g} GB of memory; at most {most / 1e9:.3g} GB, or "
+            f"{steps * most / needed:.3g} steps, are allowed: give a larger --dt, or parts of the "
+            "duration one by one"
+        )
+
+
+def _memory() -> float:
+    """Of this machine, in bytes; infinite where it does not say."""
+    try:
+        return os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
+    except (AttributeError, OSError, ValueError):  # not a POSIX system
+        return math.inf
 
 
 def _row(inputs, index):

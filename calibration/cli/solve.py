@@ -3,12 +3,29 @@
 Exit status 0 only if the solve converged; otherwise 1, with the reason and null for the tip.
 """
 
-from calibration.cli.common import actuation, add_actuation, prepare_jax, print_json
+from calibration.cli.common import (
+    actuation,
+    add_actuation,
+    add_grid,
+    grid,
+    note,
+    prepare_jax,
+    print_json,
+    reason,
+)
+
+UNSTABLE = (
+    "this equilibrium is unstable: any disturbance takes the rod to another one; a small force or "
+    "moment across it, in [tip_load], tells which"
+)
 
 
 def add_arguments(parser) -> None:
     parser.add_argument("scene", metavar="SCENE.toml", help="the scene file")
     add_actuation(parser)
+    add_grid(
+        parser, "refine the grid until the tip's estimated error is below X lengths of the rod"
+    )
     parser.add_argument("--json", action="store_true", help="JSON, which is what comes anyway")
 
 
@@ -18,15 +35,21 @@ def run(args) -> int:
 
     scene = sr.load_scene(args.scene)
     tensions, pressures = actuation(args, scene)
-    sol = sr.solve_static(scene, tensions, pressures, throw=False)
+    sol = sr.solve_static(scene, tensions, pressures, throw=False, **grid(args))
     succeeded = int(sol.result) == 0
+    stable = bool(sol.stats["stable"])
     print_json(
         {
-            "result": sr.result_message(sol.result),
+            "result": reason(sol.result),
             "tip_position": sol.tip_position.tolist() if succeeded else None,
             "tip_quaternion": sol.tip_quaternion.tolist() if succeeded else None,
+            "stable": stable if succeeded else None,
+            "error": float(sol.stats["error"]),
+            "intervals": sol.method.intervals,
             "residual": float(sol.stats["residual"]),
             "iterations": int(sol.stats["iterations"]),
         }
     )
+    if succeeded and not stable:
+        note(UNSTABLE)
     return 0 if succeeded else 1
