@@ -20,6 +20,7 @@ import softrod_jax as sr
 from calibration import drift
 from calibration.alignment import Alignment, align
 from calibration.drift import Clock
+from calibration.memory import check_memory, motion_bytes
 from calibration.model import Batch, Motion, driven, simulate_motion, tip_at
 from calibration.onset import white_noise
 from calibration.parameters import with_values
@@ -73,10 +74,28 @@ def evaluate(
     inputs: a dictionary of "delay" [s], (recordings,), and for each channel that may drift of how
     much it changes in each window, (recordings, windows, numbers), see `calibration.drift`.
 
-    A simulation that fails has residuals of ten rod lengths, whose sensitivities are zero.
+    A simulation that fails has residuals of ten rod lengths, whose sensitivities are zero. Raises
+    `RecordingError` if all that takes more memory than is reasonable.
     """
+    _check_memory(batch, courses, len(names), method, reverse)
     return _compiled(_gradients if reverse else _sensitivities)(
         setup, batch, theta, courses, names, scheme, method
+    )
+
+
+def _check_memory(batch: Batch, courses, parameters: int, method, reverse: bool) -> None:
+    many, steps, samples = batch.dt.shape[0], batch.steps, batch.times.shape[1]
+    seen = {name: np.size(x) // many for name, x in courses.items()}
+    # The motion depends on parameters and on what became of the inputs; how it is seen, on all.
+    moving = parameters + seen.get("inputs", 0)
+    needed = motion_bytes(many, steps, method.intervals, 1 if reverse else moving)
+    needed += 0 if reverse else 3 * 8.0 * batch.times.size * (parameters + sum(seen.values()))
+    check_memory(
+        needed,
+        f"{many} recording{'s'[: many > 1]} of up to {steps} steps and {samples} samples, with "
+        f"{parameters + sum(seen.values())} unknowns each",
+        "use a part of the recordings (--window START END), longer windows of a drift, or larger "
+        "steps (dt)",
     )
 
 

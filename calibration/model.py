@@ -18,6 +18,7 @@ import softrod_jax as sr
 from calibration import drift
 from calibration.drift import Clock
 from calibration.frames import straight_tip
+from calibration.memory import check_memory
 from calibration.onset import detect_onset
 from calibration.recording import Recording, RecordingError
 from calibration.release import held
@@ -191,10 +192,13 @@ def make_batch(
         name: max(n, *(c.windows.get(name, 0) for c in clocks))
         for name, n in {**dict.fromkeys(drifting or {}, 0), **(windows or {})}.items()
     }
-    over = {
-        name: np.zeros((len(recordings), steps + 1 if name == "inputs" else shape[1], n))
-        for name, n in most.items()
-    }
+    rows = {name: steps + 1 if name == "inputs" else shape[1] for name in most}
+    check_memory(
+        8.0 * len(recordings) * sum(rows[name] * (1 + n) for name, n in most.items()),
+        f"{max(most.values(), default=0)} windows of drift in {shape[1]} samples",
+        "let it drift in longer windows",
+    )
+    over = {name: np.zeros((len(recordings), rows[name], n)) for name, n in most.items()}
     for i, (r, c, k) in enumerate(zip(recordings, clocks, chosen, strict=True)):
         n = int(np.sum(k))
         measured = r.tip_positions[k]

@@ -297,3 +297,26 @@ def test_gaps_reach_the_command_line(tmp_path, capsys):
     arguments = ["calibrate", str(tmp_path / "rod.toml"), str(tmp_path / "a.csv"), "--look"]
     assert main([*arguments, "--out", str(tmp_path / "out")]) == 0
     assert "no samples of tau1_N from 1.99 to 2.31 s" in capsys.readouterr().err
+
+
+# What does not fit into memory.
+
+
+def test_a_fit_that_asks_for_too_much_memory_says_how_much(monkeypatch):
+    from calibration import calibrate, memory
+
+    recording = Recording(TIMES, (1 + np.sin(3 * TIMES))[:, None], np.zeros((400, 1)), swinging())
+    options = {"fit": ("young_modulus",), "progress": False, "window": (0, 4)}
+    monkeypatch.setattr(memory, "_MOST", 5e5)
+    with pytest.raises(RecordingError, match=r"400 samples.*GB of memory.*0.0005 GB.*--window"):
+        calibrate(rod(), [recording], **options)
+    with pytest.raises(RecordingError, match="windows of drift in 4.. samples.*longer windows"):
+        calibrate(rod(), [recording], **options, drift={"clock": 1e-2})
+
+
+def test_a_million_rows_are_too_many_and_an_hour_is_not():
+    from calibration import memory
+
+    with pytest.raises(RecordingError, match="GB"):
+        memory.check_memory(memory.motion_bytes(1, 1_000_000, 4, 4), "a log", "cut it")
+    memory.check_memory(memory.motion_bytes(1, 100_000, 4, 4), "a log", "cut it")
