@@ -40,7 +40,8 @@ _MESSAGES = {
         "raise max_iterations, or take a smaller dt",
     ),
     RESULTS.bad_input: (
-        "an input or a number of the scene cannot be: it is not finite or out of its range, or a "
+        "an input or a number of the scene cannot be: it is not finite or out of its range, or so "
+        "large or small that stiffness or mass has no float, or a "
         "tension is negative (a tendon can only pull), or the scene has a plane and something in "
         "it is not in that plane",
         "",

@@ -36,7 +36,8 @@ def load_scene(path: str | PathLike) -> Scene:
     """
     require_float64("load_scene")
     try:
-        text = Path(path).read_bytes().decode("utf-8")
+        # Some editors begin a file with a mark of the encoding.
+        text = Path(path).read_bytes().decode("utf-8-sig")
     except UnicodeDecodeError as e:
         raise SceneError(f"{path}: not UTF-8 text (byte {e.start}): save it as UTF-8") from None
     except (OSError, ValueError) as e:
@@ -44,8 +45,18 @@ def load_scene(path: str | PathLike) -> Scene:
         raise SceneError(f"{path}: cannot read the scene file: {reason}") from None
     try:
         document = tomllib.loads(text)
-    except (ValueError, RecursionError) as e:
+    except tomllib.TOMLDecodeError as e:
         raise SceneError(f"{path}: not a TOML file: {e}") from None
+    except RecursionError:
+        raise SceneError(
+            f"{path}: not a TOML file that can be read: brackets nested too deep; a scene has "
+            "tables in tables, and no more"
+        ) from None
+    except ValueError:  # Python reads whole numbers of some thousand digits only
+        raise SceneError(
+            f"{path}: not a TOML file that can be read: a whole number of too many digits; write it "
+            "as 1e9"
+        ) from None
     # Its numbers are known, also where something is traced.
     with jax.ensure_compile_time_eval():
         return _scene(document, f"{path}:")

@@ -165,7 +165,7 @@ def read_table(table: dict, schema: Schema, where: str) -> dict:
             )
     for key, kind in schema.items():
         if kind.required and key not in table:
-            expected = "a table" if isinstance(kind, Table) else str(kind)
+            expected = f"a table, [{key}]" if isinstance(kind, Table) else str(kind)
             raise SceneError(f"{_join(where, key)} is missing: expected {expected}")
     return {key: schema[key].read(table[key], _join(where, key)) for key in table}
 
@@ -188,7 +188,9 @@ def _shown(value: Any) -> str:
 
 
 def _join(where: str, key: str) -> str:
-    # `where` is "file:" for the file's top level and "file: rod" for a table.
+    # `where` is "file:" for the file's top level and "file: rod" for a table. What would break a
+    # message into lines is shown as it is written.
+    key = key if key.isprintable() else repr(key)
     return f"{where} {key}" if where.endswith(":") else f"{where}.{key}"
 
 

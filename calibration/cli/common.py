@@ -47,7 +47,8 @@ def cache_directory() -> Path:
 def number(text: str) -> float:
     """A finite number, for argparse."""
     try:
-        value = float(text)
+        # Python would read 1_0 as 10.
+        value = float(text) if "_" not in text and text.isascii() else math.nan
     except ValueError:
         value = math.nan
     if not math.isfinite(value):
@@ -172,6 +173,8 @@ def _one_each(option, values, count, part):
 
 def check_writable(path: str) -> None:
     """Raise `UsageError` if a file `path` cannot be written, before hours of computing."""
+    if "\0" in path or not path:
+        raise UsageError(f"--out {path!r}: is not the name of a file")
     target = Path(path)
     if target.is_dir():
         raise UsageError(f"--out {path}: is a directory; give the name of a file")

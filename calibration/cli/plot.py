@@ -66,7 +66,11 @@ def add_arguments(parser) -> None:
 
 def run(args) -> int:
     scene_path, log_path = _files(args.files)
-    out = args.out if args.out is not None else f"{Path(log_path or scene_path).stem}.png"
+    out = (
+        args.out
+        if args.out is not None
+        else f"{Path(scene_path if log_path is None else log_path).stem}.png"
+    )
     kind = Path(out).suffix.lower()
     _check_options(args, scene_path, log_path, out, kind)
     check_writable(out)

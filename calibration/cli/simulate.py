@@ -207,14 +207,14 @@ def _check_memory(args, duration: float, steps: float) -> None:
     nodes = 1 + (args.intervals or sr.Collocation().intervals)
     # Of each step: thrice the strains at 4 points of an interval, all that is seen at the nodes,
     # and the tip as text; as measured.
-    needed = steps * 8 * (72 * nodes + 25 * nodes + 100)
+    each = 8 * (72 * nodes + 25 * nodes + 100)
     most = min(_MOST_MEMORY, 0.5 * _memory())
-    if needed > most:
+    if steps * each > most:
         raise UsageError(
             f"--duration {duration:g} with --dt {args.dt:g} makes {steps:.3g} steps, which take "
-            f"{needed / 1e9:.3g} GB of memory; at most {most / 1e9:.3g} GB, or "
-            f"{steps * most / needed:.3g} steps, are allowed: give a larger --dt, or parts of the "
-            "duration one by one"
+            f"{steps * each / 1e9:.3g} GB of memory; at most {most / 1e9:.3g} GB, or "
+            f"{most / each:.3g} steps, are allowed: give a larger --dt, or parts of the duration "
+            "one by one"
         )
 
 
