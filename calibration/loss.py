@@ -347,7 +347,9 @@ class Problem:
     @cached_property
     def noise(self) -> float:
         """Standard deviation [m] of a coordinate's noise, from second differences."""
-        used = np.all(np.asarray(self.batch.used), axis=-1)
+        used = np.asarray(self.batch.used)
+        measured = np.any(used, axis=1, keepdims=True)
+        used = np.all(used | ~measured, axis=-1) & np.any(used, axis=-1)
         tips = [np.asarray(tip)[u] for tip, u in zip(self.batch.tip, used, strict=True)]
         return float(np.median([white_noise(tip) for tip in tips]))
 

@@ -64,6 +64,8 @@ def white_noise(tip: np.ndarray) -> float:
     From second differences, which a smooth movement hardly has and whose standard deviation is
     sqrt(6) times that of white noise; the median is deaf to single outliers.
     """
-    if len(tip) < 3:
+    # A coordinate that was not measured is zero throughout.
+    tip = tip[:, np.any(tip != 0, axis=0)]
+    if len(tip) < 3 or not tip.shape[1]:
         return 0.0
     return float(np.median(np.abs(np.diff(tip, n=2, axis=0))) / (0.6745 * np.sqrt(6)))
