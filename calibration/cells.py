@@ -42,6 +42,14 @@ class NumberFormat:
 
     def read(self, text: str) -> float:
         """The number; NaN for a cell that stands for a missing sample. Raises `CellError`."""
+        if self.decimal != "," and not self.missing:
+            # Nearly all cells are what Python takes for a finite number, and this is quick.
+            try:
+                value = float(text)
+            except ValueError:
+                value = math.inf
+            if math.isfinite(value) and "_" not in text:
+                return value
         text = text.strip()
         if self.is_missing(text):
             return math.nan

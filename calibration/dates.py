@@ -5,10 +5,13 @@ from datetime import UTC, datetime
 
 import numpy as np
 
+from calibration import units
+
 _MOMENT = np.dtype("datetime64[ns]")
 # Forms that mean one thing only. 1/5/2024 is a day in January or in May.
 _GERMAN = re.compile(r"(\d{1,2})\.(\d{1,2})\.(\d{4})[ T]+(\d{1,2}:\d{2}(?::\d{2}.*)?)")
 _MATLAB = re.compile(r"\d{1,2}-[A-Za-z]{3}-\d{4}[ T]\d{1,2}:\d{2}:\d{2}.*")
+_DURATION = re.compile(r"([\d.]+)\s*([a-zµ]+)")
 _OF_DAY = re.compile(r"(?:(\d+):)?(\d{1,2}):(\d{2}(?:[.,]\d*)?)")
 
 
@@ -24,7 +27,8 @@ def looks_like_one(text: str) -> bool:
 
 
 def moment(text: str, form: str | None) -> np.datetime64 | float:
-    """The moment that `text` names or the seconds since midnight if it is a time of day.
+    """The moment that `text` names or the seconds since midnight if it is a time of day, or of a
+    duration such as `0.01 sec`.
 
     `form`: as for `datetime.strptime`; None for ISO 8601, `5.1.2024 10:00:00,5`,
     `05-Jan-2024 10:00:00` and `10:00:00.5`. A moment with a zone is turned to UTC.
@@ -38,6 +42,10 @@ def moment(text: str, form: str | None) -> np.datetime64 | float:
     if found:
         hours, minutes, seconds = found.groups()
         return 3600 * int(hours or 0) + 60 * int(minutes) + float(seconds.replace(",", "."))
+    found = _DURATION.fullmatch(text)
+    size = None if found is None else units.factor("time", found.group(2))
+    if size is not None and found.group(1).count(".") < 2:
+        return size * float(found.group(1))
     found = _GERMAN.fullmatch(text)
     if found:
         day, month, year, clock = found.groups()

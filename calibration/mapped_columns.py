@@ -63,7 +63,13 @@ class Clock:
             return
         self.name = table.find(spec.text("column"))
         times = table.times(self.name, spec.text("format", None))
-        size = factor(table, spec, "time", [self.name])
+        texts = table.columns[self.name].dtype.kind in "OM"
+        if texts and spec.content.get("unit", "s") != "s":
+            raise RecordingError(
+                f"{spec.where}unit = {spec.text('unit')!r}: column {self.name} holds dates, times "
+                "of day or durations, which need none: leave it out"
+            )
+        size = factor(table, spec, "time", [] if texts else [self.name])
         spec.done()
         if times.dtype.kind == "M":
             if offset:

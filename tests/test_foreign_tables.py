@@ -140,6 +140,14 @@ def test_dates(tmp_path, first, second, form):
     assert any("time 0 is 2024-01-05T" in note for note in recording.notes)
 
 
+def test_durations_say_their_unit(tmp_path):
+    text = "Time,X,Y,Z\n0 sec,0,0,100\n0.01 sec,0.1,0,100\n20 ms,0.2,0,100\n"
+    mapping = '[time]\ncolumn = "Time"\n'
+    check(load(tmp_path, text, mapping + TIP))
+    with pytest.raises(RecordingError, match="time.unit = 'ms'.*leave it out"):
+        load(tmp_path, text, mapping + 'unit = "ms"\n' + TIP)
+
+
 def test_times_of_day_are_seconds(tmp_path):
     text = TABLE.replace("0.0", "10:00:00.0")
     np.testing.assert_allclose(load(tmp_path, text, TIME + TIP).times, 36000 + np.arange(3) / 100)
