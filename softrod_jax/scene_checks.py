@@ -88,8 +88,9 @@ def usable(scene: Scene, good=True, tensions=None, pressures=None) -> tuple[Scen
     rod = make_rod(scene, tensions, pressures)
     for x in jax.tree.leaves(rod):
         good &= jnp.all(jnp.isfinite(x))
-    for x in (rod.K_se, rod.K_bt, rod.rho_A, rod.rho_J):
-        good &= True if x is None else jnp.all(x > 0)
+    # The size of forces tells of lengths whose square is none.
+    for x in (rod.K_se, rod.K_bt, rod.K_bt / rod.L**2, rod.rho_A, rod.rho_J):
+        good &= True if x is None else jnp.all((x > 0) & (x < jnp.inf))
     leaves, structure = jax.tree.flatten(scene)
     leaves = [
         jnp.where(good, x, jnp.asarray(part.number.harmless, dtype=float))
@@ -100,7 +101,8 @@ def usable(scene: Scene, good=True, tensions=None, pressures=None) -> tuple[Scen
 
 def usable_in_time(scene: Scene, dt) -> tuple[Scene, Float[Array, ""], Bool[Array, ""]]:
     """As `usable`, with the time step `dt` [s]."""
-    scene, good = usable(scene, jnp.isfinite(dt) & (dt > 0))
+    # Errors in time are by its powers.
+    scene, good = usable(scene, jnp.isfinite(dt**4) & (dt > 0) & (dt**4 > 0))
     return scene, jnp.where(good, dt, 1.0), good
 
 

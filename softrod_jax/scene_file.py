@@ -54,8 +54,8 @@ def load_scene(path: str | PathLike) -> Scene:
         ) from None
     except ValueError:  # Python reads whole numbers of some thousand digits only
         raise SceneError(
-            f"{path}: not a TOML file that can be read: a whole number of too many digits; write it "
-            "as 1e9"
+            f"{path}: not a TOML file that can be read: a whole number of too many digits; write "
+            "it as 1e9"
         ) from None
     # Its numbers are known, also where something is traced.
     with jax.ensure_compile_time_eval():
