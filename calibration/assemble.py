@@ -5,14 +5,17 @@ from collections.abc import Sequence
 import jax.numpy as jnp
 import numpy as np
 
-from calibration.checks import Refined, row
+from calibration.beginning import beginning
+from calibration.checks import row
 from calibration.drift import drifts
 from calibration.loss import Point, Problem
 from calibration.model import Motion, tip_at
 from calibration.recording import Recording
+from calibration.resolution import Refined
 from calibration.results import Estimate, RecordingFit
 from calibration.selection import Selection, kept
-from calibration.uncertainty import Uncertainty
+from calibration.setup import Setup
+from calibration.uncertainty import IDENTIFIED, Uncertainty
 
 
 def estimates(
@@ -45,6 +48,16 @@ def estimates(
             grid_shift=relative(finer.by_grid),
         )
     return out
+
+
+def setup_with(problem: Problem, best: Point, known: Uncertainty) -> Setup:
+    """The setup with what all recordings share and was identified. What was not is as it was, or
+    at the end of its interval that is nearest to that: the data say no more."""
+    x = best.x.copy()
+    for i, verdict in enumerate(known.verdicts):
+        if verdict != IDENTIFIED:
+            x[i] = np.clip(0.0, known.low[i], known.high[i])
+    return problem.fitted_setup(x)
 
 
 def _plain(value):
@@ -104,6 +117,7 @@ def recording_fit(
         drift=drift,
         tip_offset=None if recording.origin_known else np.asarray(alignment.offset),
         frame_rotation=None if recording.origin_known else np.asarray(alignment.rotation),
+        beginning=beginning(recording, bool(problem.batch.hanging[k])),
         shape_times=step * rows,
         shapes=np.asarray(shown.shapes)[rows],
     )

@@ -7,29 +7,33 @@ from os import PathLike
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 
 import softrod_jax as sr
 from calibration import materials, optimise, robust, uncertainty
-from calibration.assemble import estimates, recording_fit
+from calibration.assemble import estimates, recording_fit, setup_with
 from calibration.checkpoint import Checkpoint
-from calibration.checks import Refined, hold_out, refine
+from calibration.checks import predicted
 from calibration.drift import durations
 from calibration.explain import explain as what_else
 from calibration.loss import Point, Problem, reverse_pays
 from calibration.model import METHOD, SCHEME, make_batch
 from calibration.optimise import Outcome
 from calibration.parameters import catalogue
-from calibration.progress import Bar, Meter, Silent
+from calibration.progress import Bar, Silent
 from calibration.recording import Recording
-from calibration.results import Fit, RecordingFit, Start
-from calibration.scales import Factor
+from calibration.resolution import (
+    REFITS,
+    TOLERANCE,
+    Refined,
+    Resolution,
+    finer_problem,
+    first_choice,
+    refine,
+)
+from calibration.results import Fit, RecordingFit
+from calibration.search import Log, polished, reweighted, search
 from calibration.selection import select
 from calibration.unknowns import Unknowns, check_conditions, choose_unknowns
-
-# Half the width of the span from which the starts of a multi-start are drawn: one decade.
-_SPAN = np.log(10.0)
-_SPAN_OTHERS = 2.0
 
 
 class CalibrationError(ValueError):
@@ -56,12 +60,13 @@ def calibrate(
     progress: bool = True,
     max_iterations: int | None = None,
     dt: float | None = None,
+    tolerance: float | None = None,
     window: tuple[float, float] | None = None,
     drift: Mapping[str, float] | None = None,
     checkpoint: str | PathLike | None = None,
     resume: bool = False,
     scheme=SCHEME,
-    method=METHOD,
+    method: sr.Collocation | None = None,
 ) -> Fit:
     """Fit numbers of `scene`, and of the bench around it, so that its tip moves as recorded.
 
@@ -70,7 +75,9 @@ def calibrate(
       from their values in the scene; everything else stays as it is.
     - `per_recording`: those of them of which each recording has its own value.
     - `bounds`: (low, high) by name, in the parameter's unit.
-    - `held_out`: recordings to predict with what was fitted; of them only the clock is.
+    - `held_out`: recordings to predict with what was fitted; of them only the clock is, and where a
+      recording does not know where the clamp is, its frame, once more for comparison. They have
+      the mean of what each fitted recording has for itself.
     - `time_offset`: also fit, for each recording, when its inputs or its release really began.
     - `optimiser`: "levenberg_marquardt", or "adam" (gradient descent), which goes by reverse mode
       if each recording depends on many parameters (`calibration.loss.reverse_pays`); by default
@@ -79,21 +86,26 @@ def calibrate(
     - `starts`: search from so many places, the scene's own and others drawn from one decade
       around it on either side (with `seed`), and keep the best.
     - `profiles`: parameters of which the profile likelihood is wanted.
-    - `checks`: simulate the result again with half the time step and with twice the grid.
+    - `checks`: simulate the result again with half the time step and with twice the grid, and fit
+      again with those where they lead elsewhere.
     - `explain`: tell what else, if it were fitted, would explain the residuals.
     - `material`: compare the values with the range of a material out of
       `calibration.materials.MATERIALS`.
     - `progress`: show a bar on stderr.
     - `max_iterations`: evaluations by the optimiser, of each start.
-    - `dt` [s]: the time step; by default the sample interval, or the multiple or fraction of it
-      that is nearest below 10 ms.
+    - `dt` [s]: the time step; by default it is found by simulating the recordings at the scene's
+      values with finer and finer ones, from a sample's, or a few of a long recording.
+    - `tolerance`: how far the simulated tip may be off because of the time step, rms, in lengths of
+      the rod (1e-3), and because of the grid along it, a tenth of that.
     - `window`: use the samples from start to end [s, the recordings' clocks]; by default
       the rule `calibration.selection.RULE`.
     - `drift`: what may drift in logs with inputs, out of "clock", "tip" and "inputs", and the
       duration [s] of the windows in each of which it changes linearly (`calibration.drift`); by
       default nothing does.
-    - `checkpoint`: a file in which the state is kept while the fit runs; `resume`: go on from it.
-    - `scheme`, `method`: in time and along the rod, as for `softrod_jax.simulate`.
+    - `checkpoint`: a file in which the state is kept until `calibration.report.write_report` has
+      written the fit; `resume`: go on from it.
+    - `scheme`, `method`: in time and along the rod, as for `softrod_jax.simulate`; by default the
+      grid along the rod is found like `dt`.
 
     A recording without inputs is a release: the rod is held straight until it is let go. One
     with inputs starts straight, or hanging in equilibrium if its first sample is elsewhere.
@@ -121,13 +133,13 @@ def calibrate(
     for name, value in (("max_iterations", max_iterations), ("starts", starts)):
         if value is not None and value < 1:
             raise ValueError(f"{name}={value}: at least 1 is needed")
+    if tolerance is not None and not 0 < tolerance < 1:
+        raise ValueError(f"tolerance={tolerance!r}: a part of the rod's length in (0, 1) is needed")
     drift = durations(drift)
     labels = _labels([*recordings, *held_out])
     check_conditions(scene, [*recordings, *held_out])
     differing = {name for r in (*recordings, *held_out) for name in r.conditions}
-    setup, unknowns = choose_unknowns(
-        scene, recordings, labels, fit, own, bounds or {}, differing
-    )
+    setup, unknowns = choose_unknowns(scene, recordings, labels, fit, own, bounds or {}, differing)
     profiled = _indices(unknowns, profiles)
     optimiser = optimiser or optimise.usual(len(unknowns.names))
     if max_iterations is None:
@@ -136,14 +148,20 @@ def calibrate(
     selections = [select(r, window) for r in recordings]
     known_parameters, _ = catalogue(setup.scene)
     defaults = {name: known_parameters[name].get(setup) for name in differing}
+    resolution = Resolution(
+        recordings, selections, defaults, drift, tolerance or TOLERANCE,
+        steps_fixed=dt is not None, grid_fixed=method is not None,
+    )  # fmt: skip
     batch, clocks = make_batch(scene, recordings, selections, time_offset, dt, defaults, drift)
-    problem = Problem(setup, batch, clocks, unknowns, time_offset, scheme, method)
+    problem = Problem(setup, batch, clocks, unknowns, time_offset, scheme, method or METHOD)
     descends = optimiser == "adam" and reverse_pays(len(unknowns.names), outputs=1)
-    searched = replace(problem, reverse=descends)
-    saved = Checkpoint(checkpoint, problem, resume, (optimiser, loss, starts, seed))
     with Bar() if progress else Silent() as meter:
-        log = _Log(meter, saved)
-        outcome, ends = _search(searched, optimiser, max_iterations, starts, seed, log)
+        meter.stage("steps and grid", None)
+        problem = first_choice(problem, resolution)
+        searched = replace(problem, reverse=descends)
+        saved = Checkpoint(checkpoint, problem, resume, (optimiser, loss, starts, seed))
+        log = Log(meter, saved)
+        outcome, ends = search(searched, optimiser, max_iterations, starts, seed, log)
         if not outcome.best.ok:
             raise CalibrationError(
                 "the scene cannot be simulated, neither at its own values nor at others nearby: "
@@ -152,35 +170,27 @@ def calibrate(
         if descends:
             # What follows needs the sensitivities of every residual.
             outcome = replace(outcome, best=problem.at(outcome.best.x))
-        outcome = _reweighted(outcome, loss, max_iterations, log)
-        best = outcome.best
-        log.stage("intervals", None)
-        known = uncertainty.estimate(best, log.add)
+        outcome = reweighted(outcome, loss, max_iterations, log)
+        outcome, known, finer = _settled(outcome, resolution, checks, max_iterations, log)
+        best, problem = outcome.best, outcome.best.problem
         if profiled:
             log.stage("profiles", None)
         curves = {
-            unknowns.items[i].label: uncertainty.profile(best, known, i, log.add)
-            for i in profiled
+            unknowns.items[i].label: uncertainty.profile(best, known, i, log.add) for i in profiled
         }
-        finer = Refined(None, None, None)
-        if checks:
-            log.stage("checks", None)
-            half = _half_step(problem, recordings, selections, defaults, drift)
-            finer = refine(best, known, half)
         explanations = None
         if explain:
             log.stage("what else", None)
-            explanations = tuple(
-                what_else(best, recordings, labels, own, bounds or {}, log.add)
-            )
+            explanations = tuple(what_else(best, recordings, labels, own, bounds or {}, log.add))
         others = _held_out(best, held_out, labels[len(recordings) :], window, dt, defaults)
-    if outcome.result != "interrupted":
-        saved.remove()
+        log.result(best)
     n = problem.size
+    parameters = estimates(problem, best, known, finer, labels)
+    final = setup_with(problem, best, known)
     return Fit(
-        scene=problem.fitted_setup(best.x).scene,
-        setup=problem.fitted_setup(best.x),
-        parameters=estimates(problem, best, known, finer, labels),
+        scene=final.scene,
+        setup=final,
+        parameters=parameters,
         recordings=tuple(
             recording_fit(best, k, label, r, s, known, finer.motions)
             for k, (label, r, s) in enumerate(zip(labels, recordings, selections, strict=False))
@@ -199,34 +209,34 @@ def calibrate(
         starts=ends,
         explanations=explanations,
         material=material,
-        dt=dict(zip(labels, (c.dt for c in clocks), strict=False)),
+        dt=dict(zip(labels, (c.dt for c in problem.clocks), strict=False)),
+        method=problem.method,
+        resolution_note=finer.note,
+        checkpoint=saved,
         seconds=time.perf_counter() - begun,
     )
 
 
-class _Log:
-    """Every evaluation of a fit: for the meter, the checkpoint, the history, and the best."""
-
-    def __init__(self, meter: Meter, saved: Checkpoint):
-        self.meter, self.saved, self.history, self.title = meter, saved, [], ""
-        self.best = None
-
-    def stage(self, title: str, total: int | None) -> None:
-        self.title = title
-        self.meter.stage(title, total)
-
-    def add(self, point: Point) -> None:
-        values = {name: v.tolist() for name, v in point.problem.values(point.x).items()}
-        rms = point.rms if point.ok else None
-        self.history.append({"stage": self.title, "rms_m": rms, **values})
-        self.meter.show(point)
-
-    def search(self, point: Point) -> None:
-        """An evaluation of the search itself, whose best is kept."""
-        self.add(point)
-        self.saved.point(point)
-        if point.ok and (self.best is None or point.loss < self.best.loss):
-            self.best = point
+def _settled(outcome: Outcome, resolution: Resolution, checks: bool, max_iterations: int, log):
+    """The outcome, fitted again with finer simulations as long as they say something else; its
+    intervals, and what still finer ones say."""
+    known = finer = None
+    for attempt in range(REFITS + 1):
+        best = outcome.best
+        log.stage("intervals", None)
+        known, finer = uncertainty.estimate(best, log.add), Refined()
+        if not checks:
+            break
+        log.stage("checks", None)
+        finer = refine(best, known, resolution)
+        if not finer.again or attempt == REFITS or outcome.result == "interrupted":
+            break
+        again = polished(best, finer_problem(best.problem, finer, resolution), max_iterations, log)
+        if not again.best.ok:
+            break
+        result = again.result if outcome.result == "converged" else outcome.result
+        outcome = Outcome(again.best, result, outcome.iterations + again.iterations)
+    return outcome, known, finer
 
 
 def _check_choice(name: str, value, choices) -> None:
@@ -239,113 +249,43 @@ def _indices(unknowns: Unknowns, names: Sequence[str]) -> list[int]:
     names = (names,) if isinstance(names, str) else tuple(names)
     found = []
     for name in names:
-        matching = [
-            i for i, u in enumerate(unknowns.items) if name in (u.label, u.parameter.name)
-        ]
+        matching = [i for i, u in enumerate(unknowns.items) if name in (u.label, u.parameter.name)]
         if not matching:
             raise ValueError(f"profiles: {name!r} is not fitted; add it to fit, or leave it out")
         found += matching
     return found
 
 
-def _search(problem, optimiser, max_iterations, starts, seed, log) -> tuple[Outcome, tuple]:
-    """The best outcome of all starts, and how each of them ended, the best first."""
-    random = np.random.default_rng(seed)
-    low, high = (b[: problem.size] for b in problem.bounds)
-    spans = [
-        _SPAN if isinstance(u.parameter.scale, Factor) else _SPAN_OTHERS
-        for u in problem.unknowns.items
-    ]
-    outcomes, begun, interrupted = [], [], False
-    for k in range(starts):
-        x = problem.start()
-        if k:
-            x[: problem.size] = np.clip(random.uniform(-1, 1, problem.size) * spans, low, high)
-        begun.append(x)
-        if k < len(log.saved.done):
-            done = log.saved.done[k]
-            outcomes.append(Outcome(problem.at(np.array(done["x"])), done["result"], 0))
-            continue
-        if k == len(log.saved.done) and log.saved.x is not None:
-            x = log.saved.x
-        number = f" {k + 1} of {starts}" if starts > 1 else ""
-        stage = lambda title, total, number=number: log.stage(title + number, total)
-        log.best = None
-        try:
-            outcome = optimise.minimise(problem, optimiser, max_iterations, log.search, stage, x)
-        except KeyboardInterrupt:
-            if log.best is None and not outcomes:
-                raise
-            interrupted = True
-            if log.best is not None:
-                outcomes.append(Outcome(log.best, "interrupted", 0))
-            break
-        outcomes.append(outcome)
-        if outcome.best.ok:
-            log.saved.finish(outcome.best.x, outcome.best.loss, outcome.result)
-    order = sorted(
-        range(len(outcomes)), key=lambda k: outcomes[k].best.loss if outcomes[k].best.ok else np.inf
-    )
-    plain = lambda x: {k: float(np.max(v)) for k, v in problem.values(x).items()}
-    ends = tuple(
-        Start(plain(begun[k]), plain(b.x), b.rms if b.ok else np.inf, outcomes[k].result)
-        for k in order
-        for b in [outcomes[k].best]
-    )
-    best = outcomes[order[0]]
-    return (replace(best, result="interrupted") if interrupted else best), ends
-
-
-def _reweighted(outcome: Outcome, loss: str, max_iterations: int, log) -> Outcome:
-    """The outcome with outliers taken out; the same for "squares"."""
-    if loss == "squares":
-        return outcome
-    point, iterations = outcome.best, outcome.iterations
-    log.stage(f"{loss} weights", None)
-    for k in range(robust.ROUNDS):
-        weights = robust.weights(point, loss, k)
-        if robust.settled(point.problem.weights, weights):
-            break
-        problem = point.problem.weighted(weights)
-        point = replace(point, problem=problem)
-        done = optimise.levenberg_marquardt(problem, point, max_iterations, log.add)
-        point, iterations = done.best, iterations + done.iterations
-    return Outcome(point, outcome.result, iterations)
-
-
-def _half_step(problem, recordings, selections, defaults, drift):
-    """The batch with half the time step."""
-    half = [c.dt / 2 for c in problem.clocks]
-    return make_batch(
-        problem.scene, recordings, selections, problem.time_offset, half, defaults, drift
-    )[0]
-
-
 def _held_out(best: Point, recordings, labels, window, dt, defaults) -> tuple[RecordingFit, ...]:
     """Predictions of `recordings`, through the program of the fit: as many at a time."""
-    found, many = [], len(best.problem.clocks)
+    found, problem = [], best.problem
+    many = len(problem.clocks)
     for first in range(0, len(recordings), many):
         some = recordings[first : first + many]
         selections = [select(r, window) for r in some]
         fill = many - len(some)
-        problem = best.problem
         batch, clocks = make_batch(
             problem.scene,
             some + some[-1:] * fill,
             selections + selections[-1:] * fill,
             problem.time_offset,
-            dt,
+            dt or min(c.dt for c in problem.clocks),
             defaults,
             steps=problem.batch.steps,
             samples=problem.batch.times.shape[1],
             windows={name: x.shape[-1] for name, x in problem.batch.ramps.items()},
         )
-        unknowns = problem.unknowns.shared(many)
-        point = hold_out(replace(problem, batch=batch, clocks=clocks, unknowns=unknowns), best)
-        found += [
-            recording_fit(point, k, labels[first + k], r, s)
-            for k, (r, s) in enumerate(zip(some, selections, strict=True))
-        ]
+        unknowns, x = problem.unknowns.shared(best.x, many)
+        own_frame, fitted_frame = predicted(
+            replace(problem, batch=batch, clocks=clocks, unknowns=unknowns), x, best
+        )
+        for k, (r, s) in enumerate(zip(some, selections, strict=True)):
+            shown = own_frame if fitted_frame is None else fitted_frame
+            fit = recording_fit(shown, k, labels[first + k], r, s)
+            if not r.origin_known:
+                own = recording_fit(own_frame, k, labels[first + k], r, s).rmse
+                fit = replace(fit, rmse_own_frame=own, frame_fitted=fitted_frame is None)
+            found.append(fit)
     return tuple(found)
 
 

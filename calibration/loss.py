@@ -30,6 +30,9 @@ from softrod_jax.compiling import compiler_options
 
 # A residual of a simulation that failed, in rod lengths: worse than any motion of the rod.
 _FAILED = 10.0
+# A result that leaves less than this part of the tip's motion (rms), or less than so many standard
+# deviations of the noise, is taken for the right one.
+UNEXPLAINED, _NOISE = 0.15, 1.5
 # One sweep of reverse mode costs about as much as seven tangents of forward mode (0.6 s of a robot
 # with three tendons: 0.09 s, against 0.13 s by 12 and 0.31 s by 33 parameters), and the time to
 # compile a second program.
@@ -174,7 +177,8 @@ def _predict(setup, batch, theta, courses, names, scheme, method):
     return _each(one, batch, theta, courses)
 
 
-def _residual(motion: Motion, recording: Batch, course, length):
+def _residual(motion: Motion, recording: Batch, course, length, frame: Alignment | None = None):
+    """In the frame that fits best, or in `frame`, where the recording's own is free."""
     ok = motion.result == sr.RESULTS.successful
     used = recording.used
     times = recording.times - course["delay"]
@@ -185,7 +189,7 @@ def _residual(motion: Motion, recording: Batch, course, length):
         seen = tip + recording.ramps["tip"] @ course["tip"]
     moved = jnp.where(ok, tip - motion.positions[0], 0.0)
     missed = jnp.where(used & ok, recording.tip - seen, 0.0)
-    alignment = align(moved, missed, recording.weights)
+    alignment = align(moved, missed, recording.weights) if frame is None else frame
     free = recording.free_frame
     alignment = jax.tree.map(lambda x: jnp.where(free, x, 0.0), alignment)
     r = jnp.where(ok, alignment.of(moved) - missed, _FAILED * length)
@@ -193,17 +197,29 @@ def _residual(motion: Motion, recording: Batch, course, length):
 
 
 @jax.jit
-def losses_by_delay(motion: Motion, batch: Batch, courses, delays, length):
+def losses_by_delay(motion: Motion, batch: Batch, courses, delays, length, frame=None):
     """Sums of squares [m^2] at `delays` [s], (recordings, tries), the rest of the courses being as
-    it is: (recordings, tries)."""
+    it is: (recordings, tries). One after the other: a long log has no room for all at once."""
 
-    def one(motion, recording, course, delay):
-        residual = _residual(motion, recording, {**course, "delay": delay}, length)[0]
-        return jnp.sum((recording.weights * residual) ** 2)
+    def of_one(arguments):
+        motion, recording, course, delays = arguments
 
-    return jax.vmap(jax.vmap(one, in_axes=(None, None, None, 0)), in_axes=(0, 0, 0, 0))(
-        motion, batch, courses, delays
-    )
+        def at(delay):
+            seen = {**course, "delay": delay}
+            residual = _residual(motion, recording, seen, length, frame)[0]
+            return jnp.sum((recording.weights * residual) ** 2)
+
+        return jax.lax.map(at, delays)
+
+    return jax.lax.map(of_one, (motion, batch, courses, delays))
+
+
+@jax.jit
+def residuals_in(motion: Motion, batch: Batch, courses, length, frame: Alignment):
+    """Residuals [m] of all recordings, (recordings, samples, 3), and their alignments, seen in
+    `frame` where their own is free."""
+    one = lambda *recording: _residual(*recording, length, frame)
+    return jax.vmap(one)(motion, batch, courses)
 
 
 @dataclass(frozen=True, eq=False)
@@ -268,6 +284,11 @@ class Point:
     def rms(self) -> float:
         """Root mean square distance between measured and simulated tip [m]."""
         return float(np.sqrt(self.misfit / self.problem.samples))
+
+    @property
+    def explains(self) -> bool:
+        """Whether it leaves little of the motion, or no more than noise."""
+        return self.problem.explained(self.loss, UNEXPLAINED)
 
     @property
     def result(self) -> int:
@@ -372,6 +393,11 @@ class Problem:
     def samples(self) -> float:
         """Samples with at least one coordinate of the tip, each counting by its weight."""
         return float(np.sum(np.max(self.weights**2, axis=-1)))
+
+    def explained(self, loss: float, part: float) -> bool:
+        """Whether a loss leaves less than `part` of the motion (rms), or no more than noise."""
+        noise = _NOISE * np.sqrt(3) * self.noise
+        return loss < max(part * self.motion_rms, noise) ** 2 * self.samples
 
     @cached_property
     def motion_rms(self) -> float:

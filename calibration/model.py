@@ -16,8 +16,8 @@ from jaxtyping import Array, Bool, Float, Int
 
 import softrod_jax as sr
 from calibration import drift
+from calibration.beginning import hangs
 from calibration.drift import Clock
-from calibration.frames import straight_tip
 from calibration.memory import check_memory
 from calibration.onset import detect_onset
 from calibration.recording import Recording, RecordingError
@@ -25,19 +25,16 @@ from calibration.release import held
 from calibration.selection import Selection, input_onset, kept
 from calibration.setup import Setup, rotated
 
-# The scheme and grid of fits. An order 4 in time at 10 ms shifts the modulus of a 100 mm silicone
-# beam ringing at 8 Hz by 0.01 %; BDF-alpha at 5 ms costs more and shifts it by 0.8 %, and the
-# damping by 4 %.
+# The scheme of fits, and the grid with which they begin (`calibration.resolution`). An order 4 in
+# time at 10 ms shifts the modulus of a 100 mm silicone beam ringing at 8 Hz by 0.01 %; BDF-alpha at
+# 5 ms costs more and shifts it by 0.8 %, and the damping by 4 %.
 SCHEME = sr.SDIRK()
 METHOD = sr.Collocation(intervals=4, order=6)
 NEWTON = sr.NewtonOptions(tolerance=1e-7)
-LARGEST_DT = 0.01
 _PADDING = 16
 # A delay is sought this far around its first guess: so many samples, or seconds if that is more.
 _DELAY_SAMPLES = 10
 _DELAY_SECONDS = 0.1
-# A tip that begins further from the straight rod's than this part of the length hangs there.
-_HANGING_PART = 0.02
 
 
 class Batch(eqx.Module):
@@ -74,13 +71,15 @@ class Batch(eqx.Module):
 class Motion(eqx.Module):
     """The simulated marker of one recording on the grid of time steps, (steps + 1, 3) each.
 
-    `shapes`: the rod, (steps + 1, outputs, 3).
+    `shapes`: the rod, (steps + 1, outputs, 3). `error`: of the grid along it, the largest of all
+    steps, as the solver estimates it, in lengths of the rod.
     """
 
     positions: Float[Array, "rows 3"]
     velocities: Float[Array, "rows 3"]
     shapes: Float[Array, "rows outputs 3"]
     result: Int[Array, ""]
+    error: Float[Array, ""]
 
 
 def simulate_motion(setup: Setup, batch: Batch, scheme, method) -> Motion:
@@ -118,7 +117,8 @@ def simulate_motion(setup: Setup, batch: Batch, scheme, method) -> Motion:
         turning = jnp.cross(trajectory.velocities[:, -1, 3:], setup.sensor_offset)
         positions = positions + rotated(attitude, setup.sensor_offset)
         velocities = velocities + rotated(attitude, turning)
-    return Motion(positions, velocities, trajectory.positions, trajectory.result)
+    error = jax.lax.stop_gradient(jnp.max(trajectory.stats["error"]))
+    return Motion(positions, velocities, trajectory.positions, trajectory.result, error)
 
 
 def driven(batch: Batch, drifted: Float[Array, "windows"]) -> Batch:
@@ -165,9 +165,9 @@ def make_batch(
     """The recordings as arrays, and their clocks; `steps`, `samples` and `windows`: the
     least number of them, so that the batch runs through a program compiled for another.
 
-    `dt` [s], of all or of each; None chooses. `defaults`: the conditions in which recordings
-    differ, by name, each with the value of those that do not give it. `drifting`: the channels that
-    may drift, and the durations of their windows [s].
+    `dt` [s], of all or of each; None: the interval between samples. `defaults`: the conditions in
+    which recordings differ, by name, each with the value of those that do not give it. `drifting`:
+    the channels that may drift, and the durations of their windows [s].
 
     Raises `RecordingError` if a release cannot be seen in a recording and `time_offset` is
     asked for, or if inputs do not fit the scene; `ValueError` for a bad `dt`.
@@ -208,7 +208,7 @@ def make_batch(
         for name, ramps in over.items():
             at = r.times[0] + c.dt * np.arange(steps + 1) if name == "inputs" else r.times[k]
             ramps[i, : len(at), : c.windows.get(name, 0)] = drift.ramps(at, c, name)
-    hanging = np.array([_hangs(scene, r) for r in recordings])
+    hanging = np.array([hangs(scene, r) for r in recordings])
     tensions, pressures = (
         _inputs([getattr(r, name) for r in recordings], recordings, clocks, steps)
         for name in ("tensions", "pressures")
@@ -260,9 +260,7 @@ def _clock(scene, recording: Recording, time_offset: bool, dt: float | None) -> 
     # Inputs may have been sampled faster than the tip.
     interval = float(np.median(np.diff(times[recording.has_tip])))
     if dt is None:
-        # A whole number of steps a sample, or of samples a step: samples fall on the grid.
-        samples = math.floor(LARGEST_DT / interval + 1e-6)
-        dt = interval * samples if samples else interval / math.ceil(interval / LARGEST_DT)
+        dt = interval
     elif not (np.isfinite(dt) and dt > 0):
         raise ValueError(f"dt={dt!r} s: a positive number is needed")
     begin = float(times[0])
@@ -284,19 +282,6 @@ def _clock(scene, recording: Recording, time_offset: bool, dt: float | None) -> 
 
 def _released(recording: Recording) -> bool:
     return recording.tensions is None and recording.pressures is None
-
-
-def _hangs(scene, recording: Recording) -> bool:
-    """Whether the rod begins in equilibrium under its loads and not straight.
-
-    Told by the first sample of the tip: a rod that is let go begins straight.
-    """
-    if recording.starts_hanging is not None:
-        return recording.starts_hanging
-    if _released(recording) or not np.any(recording.has_tip):
-        return False
-    first = recording.tip_positions[recording.has_tip][0]
-    return bool(np.linalg.norm(first - straight_tip(scene)) > _HANGING_PART * scene.length)
 
 
 def _inputs(inputs, recordings, clocks, steps):

@@ -10,6 +10,9 @@ from calibration.recording import Recording, RecordingError
 
 # Samples from which noise and rest are taken.
 _FEW = 20
+# So many at rest tell where it is; else so many of the movement are traced back to its beginning,
+# in so many rounds, each of which weighs down what the last one missed.
+_REST, _TRACED, _ROUNDS = 5, 8, 30
 # Movement is clear above this many standard deviations of one coordinate's noise ..
 _CLEAR_SIGMAS = 6.0
 # .. and above this part of the largest movement: cameras settle, hands that hold tremble.
@@ -56,6 +59,31 @@ def last_rest_sample(tip: np.ndarray) -> int | None:
     moved = np.linalg.norm(rest - np.median(rest, axis=0), axis=1)
     quiet = max(_CLEAR_SIGMAS * noise, 2 * np.median(moved))
     return start + int(np.flatnonzero(moved <= quiet)[-1])
+
+
+def start_position(recording: Recording) -> tuple[np.ndarray, bool]:
+    """Where the tip is [m] before it first moves, (3,), and whether it is seen to rest there.
+
+    The median of all samples at rest; of a tip that moves from the first samples on, where they
+    lead back to if it was still: x0 + a t^2 + b t^3, by least absolute deviations. One sample that
+    is wrong moves neither.
+    """
+    known = recording.has_tip
+    times, tip = recording.times[known], recording.tip_positions[known]
+    index = last_rest_sample(tip)
+    if index is None or index + 1 >= _REST:
+        return np.median(tip[: None if index is None else index + 1], axis=0), True
+    t = times[:_TRACED] - times[0]
+    t = t / max(t[-1], 1e-12)
+    columns = np.stack([np.ones_like(t), t**2, t**3], axis=1)
+    tip = tip[:_TRACED]
+    weights = np.ones(len(tip))
+    for _ in range(_ROUNDS):
+        root = np.sqrt(weights)[:, None]
+        found = np.linalg.lstsq(root * columns, root * tip, rcond=None)[0]
+        missed = np.linalg.norm(tip - columns @ found, axis=1)
+        weights = 1 / np.maximum(missed, 1e-3 * np.max(missed) + 1e-12)
+    return found[0], False
 
 
 def white_noise(tip: np.ndarray) -> float:

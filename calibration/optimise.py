@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 import optax
 
-from calibration.loss import Point, Problem
+from calibration.loss import UNEXPLAINED, Point, Problem
 from calibration.progress import Report, Stage
 from calibration.start import better, by_frequency, coarse_search, in_time, search_size
 
@@ -27,9 +27,6 @@ _FIRST_DAMPING, _LARGEST_DAMPING, _GROWTH = 1e-2, 1e10, 4.0
 # It has stalled if so many evaluations gained less than this part of a loss that is still bad.
 _PATIENCE, _LEAST_GAIN = 8, 0.1
 
-# A result that leaves less than this part of the tip's motion (rms) is taken for the right one;
-# else the coarse search looks for a better place to start.
-_UNEXPLAINED = 0.15
 # Up to so many parameters Levenberg-Marquardt is the faster, by the costs in `calibration.loss`: it
 # takes a tenth of the evaluations, and a parameter costs each of them a forward tangent.
 MANY = 80
@@ -67,15 +64,14 @@ def minimise(
     stage("first look", None)
     here = problem.at(problem.start() if x is None else x)
     report(here)
-    explained = lambda loss: loss < (_UNEXPLAINED * problem.motion_rms) ** 2 * problem.samples
     loss, x = in_time(here)
-    if not explained(loss):
+    if not problem.explained(loss, UNEXPLAINED):
         x = by_frequency(problem, here, report)
     start = problem.at(x)
     report(start)
     stage(title, max_iterations)
     first = run(problem, start, max_iterations, report)
-    if first.best.ok and explained(first.best.loss):
+    if first.best.ok and first.best.explains:
         return first
     stage("coarse search", search_size(problem))
     start = problem.at(coarse_search(problem, better(first.best, start), report))
@@ -127,7 +123,6 @@ def levenberg_marquardt(
     low, high = problem.bounds
     point, damping, growth = start, _FIRST_DAMPING, _GROWTH
     losses = [start.loss]
-    bad = (_UNEXPLAINED * problem.motion_rms) ** 2 * problem.samples
     for k in range(1, max_iterations + 1):
         J, r = point.jacobian, point.residuals
         JJ = J.T @ J + np.diag(problem.prior)
@@ -161,7 +156,7 @@ def levenberg_marquardt(
                 return Outcome(point, "converged", k)
         losses.append(point.loss)
         little = len(losses) > _PATIENCE and losses[-1] > (1 - _LEAST_GAIN) * losses[-1 - _PATIENCE]
-        if little and losses[-1] > bad:
+        if little and not point.explains:
             return Outcome(point, "converged to a place that explains little of the motion", k)
     return Outcome(point, f"stopped after {max_iterations} iterations", max_iterations)
 

@@ -26,6 +26,7 @@ class Parameter:
     - `make`: puts the array into a setup that has none, at values that change nothing; None if
       the scene must have it.
     - `remedy`: what to add to a scene that lacks it.
+    - `allowed`: whether a setup's value can be; None if every one of its scale can.
     """
 
     name: str
@@ -35,6 +36,7 @@ class Parameter:
     index: int | tuple[int, ...] | None = None
     make: Callable | None = None
     remedy: str = ""
+    allowed: Callable | None = None
 
     def get(self, setup: Setup):
         """The value in `setup`; None if it has none."""
@@ -72,6 +74,16 @@ def _part(part: str, name: str) -> Callable:
     return find
 
 
+def _in_section(part: str) -> Callable:
+    """Whether all tendons or chambers of a setup are within the section."""
+
+    def inside(setup: Setup) -> bool:
+        offsets = getattr(setup.scene, part).offsets
+        return bool(np.all(np.asarray(setup.scene.section.contains(offsets))))
+
+    return inside
+
+
 def _maker(find: Callable, value: Callable) -> Callable:
     """Puts `value()` where `find` finds None."""
     return lambda setup: eqx.tree_at(find, setup, value(), is_leaf=lambda x: x is None)
@@ -104,14 +116,20 @@ def catalogue(scene: sr.Scene) -> tuple[dict[str, Parameter], dict[str, tuple[st
             remedy="[payload] mass",
         ),
         Parameter("chamber_area", "m^2", _part("chambers", "areas"), remedy="[[chambers]]"),
-        Parameter("tendon_offset", "m", _part("tendons", "offsets"), remedy="[[tendons]]"),
+        Parameter(
+            "tendon_offset",
+            "m",
+            _part("tendons", "offsets"),
+            remedy="[[tendons]]",
+            allowed=_in_section("tendons"),
+        ),
     ]
     groups: dict[str, tuple[str, ...]] = {}
 
-    def add(group, unit, find, scale, indices, make=None):
+    def add(group, unit, find, scale, indices, make=None, allowed=None):
         """A parameter for each index: {suffix: index}."""
         members = [
-            Parameter(f"{group}_{suffix}", unit, find, scale, index, make)
+            Parameter(f"{group}_{suffix}", unit, find, scale, index, make, allowed=allowed)
             for suffix, index in indices.items()
         ]
         found.extend(members)
@@ -121,14 +139,16 @@ def catalogue(scene: sr.Scene) -> tuple[dict[str, Parameter], dict[str, tuple[st
     places = lambda n: {f"{i + 1}_{a}": (i, j) for i in range(n) for j, a in enumerate("xy")}
     offsets = _part("tendons", "offsets")
     if tendons:
-        add("tendon_position", "m", offsets, _IN_THE_SECTION, places(tendons))
+        inside = _in_section("tendons")
+        add("tendon_position", "m", offsets, _IN_THE_SECTION, places(tendons), allowed=inside)
         efficiency = lambda setup: setup.tendon_efficiency
         ones = _maker(efficiency, lambda: jnp.ones(tendons))
         add("tendon_efficiency_each", "1", efficiency, Factor(), numbered(tendons), ones)
         found.append(Parameter("tendon_efficiency", "1", efficiency, make=ones))
     if chambers:
         centres = _part("chambers", "offsets")
-        add("chamber_position", "m", centres, _IN_THE_SECTION, places(chambers))
+        inside = _in_section("chambers")
+        add("chamber_position", "m", centres, _IN_THE_SECTION, places(chambers), allowed=inside)
         add("chamber_area_each", "m^2", _part("chambers", "areas"), Factor(), numbered(chambers))
     if scene.gravity is not None and scene.tendons is None:
         duration = lambda setup: setup.release_duration
@@ -177,9 +197,7 @@ def choose(
 def _check(scene: sr.Scene, name: str, may_be_zero: bool) -> None:
     known, groups = catalogue(scene)
     if name not in known:
-        raise ValueError(
-            f"fit: unknown parameter {name!r}; known: {', '.join([*known, *groups])}"
-        )
+        raise ValueError(f"fit: unknown parameter {name!r}; known: {', '.join([*known, *groups])}")
     parameter = known[name]
     value = parameter.get(parameter.prepare(Setup(scene)))
     if value is None:

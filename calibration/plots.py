@@ -71,7 +71,7 @@ def data_axes(inputs, tip, recording: Recording, window) -> None:
     else:
         inputs.text(0.5, 0.5, "no inputs: a release", ha="center", transform=inputs.transAxes)
     inputs.set_xlabel("t [s]")
-    inputs.set_title(recording.name, fontsize=10)
+    inputs.set_title(recording.name, fontsize=10, parse_math=False)
     known = recording.has_tip
     start = np.median(recording.track[1][:5], axis=0)
     for i, letter in enumerate("xyz"):
@@ -104,7 +104,8 @@ def recording_figure(recording: RecordingFit) -> Figure:
         axis.set_ylabel(f"tip {letter} [mm]")
     axes[0].legend(loc="upper right", fontsize=8)
     axes[2].set_xlabel("time on the recording's clock [s]")
-    figure.suptitle(f"{recording.name}: {1e3 * recording.rmse:.3g} mm rms", fontsize=11)
+    title = f"{recording.name}: {1e3 * recording.rmse:.3g} mm rms"
+    figure.suptitle(title, fontsize=11, parse_math=False)
     return figure
 
 
@@ -179,7 +180,7 @@ def profile_figure(fit: Fit, label: str) -> Figure:
     axis.axhline(1, color=_QUIET, lw=0.8, label="edge of the 95 % interval")
     if np.all(profile.values > 0):
         axis.set_xscale("log")
-    axis.set_xlabel(f"{label} [{estimate.unit}]")
+    axis.set_xlabel(f"{label} [{estimate.unit}]", parse_math=False)
     axis.set_ylabel("excess of the loss")
     axis.legend(fontsize=8)
     return figure

@@ -30,6 +30,10 @@ class Meter(abc.ABC):
     def show(self, point: Point) -> None:
         """One evaluation is done."""
 
+    @abc.abstractmethod
+    def result(self, point: Point) -> None:
+        """What the fit ended with."""
+
 
 class Silent(Meter):
     """Shows nothing."""
@@ -40,9 +44,13 @@ class Silent(Meter):
     def show(self, point):
         pass
 
+    def result(self, point):
+        pass
+
 
 class Bar(Meter):
-    """A bar on stderr, by rich; below it the parameters of the best point of the stage."""
+    """A bar on stderr, by rich; below it the parameters of the best point of the stage, and in the
+    end those of the result."""
 
     def __init__(self):
         from rich.console import Console
@@ -94,6 +102,10 @@ class Bar(Meter):
         if point.ok and point.loss < self._best:
             self._best, self._values = point.loss, _values(point)
             self._progress.update(self._task, loss=f"rms {1e3 * point.rms:.4g} mm")
+
+    def result(self, point):
+        self._finish()
+        self._values = _values(point)
 
     def _finish(self):
         """An optimiser that stopped early is done, not at 20 %."""

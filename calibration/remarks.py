@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from calibration.granted import scale_of_forces
 from calibration.materials import MATERIALS, SOFT
 from calibration.results import Fit
 from calibration.scales import LARGEST_FACTOR
@@ -36,6 +37,7 @@ def remarks(fit: Fit) -> list[str]:
         *_ringing(fit),
         *_explained(fit),
         *_outliers(fit),
+        *_granted(fit),
         *_frames(fit),
         *_drifts(fit),
         *_beside_the_scene(fit),
@@ -65,12 +67,19 @@ def _not_identifiable(fit):
             what = f"anything from {low} to {high} fits as well"
         yield (
             f"{name} is not identifiable from these recordings: {what}. Do not use its value; "
-            "fix it at one that is known, or record a motion that depends on it."
+            "fix it at one that is known, or record a motion that depends on it. The fitted scene "
+            "keeps the value it had, or the end of this range nearest to it."
         )
         start, end = (float(np.max(np.abs(v))) for v in (estimate.initial, estimate.value))
         ratio = end / start if start else 1.0
         if ratio > 0.99 * LARGEST_FACTOR or ratio < 1.01 / LARGEST_FACTOR:
             yield f"{name} ran to the end of the range that is searched."
+
+
+def _granted(fit):
+    said = scale_of_forces(fit)
+    if said:
+        yield said
 
 
 def _starts(fit):
@@ -83,6 +92,9 @@ def _starts(fit):
 
 
 def _numerics(fit):
+    if fit.resolution_note:
+        yield fit.resolution_note
+        return
     for name, e in fit.parameters.items():
         for shift, what, remedy in (
             (e.step_shift, "half the time step", "a smaller dt"),
@@ -139,7 +151,24 @@ def _held_out(fit):
     if not fit.held_out:
         return
     fitted = max(r.rmse for r in fit.recordings)
+    own = sorted({e.name for e in fit.parameters.values() if e.recording})
+    if own:
+        yield (
+            "Recordings that were kept aside are predicted with the mean of what each fitted one "
+            f"has for itself of {', '.join(own)}."
+        )
     for r in fit.held_out:
+        if r.rmse_own_frame is not None and r.rmse_own_frame < r.rmse / _WORSE:
+            yield (
+                f"{r.name}, which was kept aside, is predicted to {1e3 * r.rmse:.3g} mm rms in the "
+                f"frame of the fitted recordings, to {1e3 * r.rmse_own_frame:.3g} in one fitted to "
+                "it: if the camera stood elsewhere, the second is meant; if not, the first."
+            )
+        elif r.rmse_own_frame is not None and r.frame_fitted:
+            yield (
+                f"{r.name}, which was kept aside, is predicted in a frame that was fitted to it, "
+                "as none of the fitted recordings has one to take: kinder than a prediction."
+            )
         if r.rmse > _WORSE * fitted:
             yield (
                 f"{r.name}, which was kept aside, is predicted to {1e3 * r.rmse:.3g} mm rms, and "

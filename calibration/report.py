@@ -2,6 +2,7 @@
 
 import base64
 import json
+import os
 from html import escape
 from os import PathLike
 from pathlib import Path
@@ -9,6 +10,7 @@ from pathlib import Path
 import numpy as np
 
 import softrod_jax as sr
+from calibration.granted import taken_for_granted
 from calibration.plots import write_plots
 from calibration.remarks import remarks
 from calibration.results import Estimate, Fit
@@ -22,16 +24,29 @@ def write_report(fit: Fit, out_dir: str | PathLike) -> Path:
     - `scene.toml`: the scene with the fitted values, for `softrod simulate`.
     - `fit_*.png`, `residuals_*.png`, `motion_*.png`, `profile_*.png`, `convergence.png`.
 
-    Raises `OSError` if a file cannot be written.
+    Raises `OSError` if a file cannot be written. The numbers are written first, and the fit's
+    checkpoint, if it has one and the fit came to its end, is removed last.
     """
     out = Path(out_dir)
     out.mkdir(parents=True, exist_ok=True)
     text = json.dumps(as_json(fit), indent=2, allow_nan=False)
-    (out / "parameters.json").write_text(text + "\n", encoding="utf-8")
-    sr.save_scene(fit.setup.simulated_scene(), out / "scene.toml")
+    _write(out / "parameters.json", text + "\n")
     pictures = write_plots(fit, out)
-    (out / "report.html").write_text(_html(fit, pictures), encoding="utf-8")
+    _write(out / "report.html", _html(fit, pictures))
+    sr.save_scene(fit.setup.simulated_scene(), out / "scene.toml")
+    if fit.result != "interrupted":
+        fit.checkpoint.remove()
     return out
+
+
+def _write(path: Path, text: str) -> None:
+    """All of it or nothing: a full disk leaves what was there before."""
+    partial = path.with_name(path.name + ".new")
+    try:
+        partial.write_text(text, encoding="utf-8")
+        os.replace(partial, path)
+    finally:
+        partial.unlink(missing_ok=True)
 
 
 def summary(fit: Fit) -> str:
@@ -47,8 +62,18 @@ def summary(fit: Fit) -> str:
         f"{r.selection.start:.2f} to {r.selection.end:.2f} s; time offset {r.time_offset:.4f} s"
         for r in fit.recordings
     ]
-    text += [f"{r.name}: predicted to {1e3 * r.rmse:.3g} mm rms" for r in fit.held_out]
+    text += [_predicted(r) for r in fit.held_out]
+    text.append(f"intervals take for granted: {', '.join(taken_for_granted(fit))}")
     return "\n".join(line.rstrip() for line in [*text, fit.result])
+
+
+def _predicted(r) -> str:
+    text = f"{r.name}: predicted to {1e3 * r.rmse:.3g} mm rms"
+    if r.rmse_own_frame is None:
+        return text
+    if r.frame_fitted:
+        return f"{text} in a frame fitted to it"
+    return f"{text} in the frame of the fit, {1e3 * r.rmse_own_frame:.3g} in one fitted to it"
 
 
 def as_json(fit: Fit) -> dict:
@@ -57,8 +82,9 @@ def as_json(fit: Fit) -> dict:
     "parameters", by name: value, ci95 = [low, high] (null on a side without a bound), initial,
     unit, identifiable, verdict, recording (null: all), step_shift and grid_shift (change with half
     the time step and twice the grid, in half widths of the interval). "rmse_m" and "time_offset_s",
-    by recording, "held_out_rmse_m"; "drift", by recording and channel (`calibration.drift`), at the
-    edges of the windows; and how the fit was made.
+    by recording; "held_out_rmse_m", in the frame of the fit, and "held_out_rmse_own_frame_m", in
+    one fitted to the recording, where it does not know its own (else null); "drift", by recording
+    and channel (`calibration.drift`), at the edges of the windows; and how the fit was made.
     """
     return {
         "result": fit.result,
@@ -78,6 +104,7 @@ def as_json(fit: Fit) -> dict:
         },
         "rmse_m": fit.rmse_m,
         "held_out_rmse_m": {r.name: r.rmse for r in fit.held_out},
+        "held_out_rmse_own_frame_m": {r.name: r.rmse_own_frame for r in fit.held_out},
         "rmse_axes_m": {r.name: _plain(r.rmse_axes) for r in fit.recordings},
         "samples": {r.name: int(_sampled(r)) for r in fit.recordings},
         "window_s": {r.name: [r.selection.start, r.selection.end] for r in fit.recordings},
@@ -113,7 +140,10 @@ def as_json(fit: Fit) -> dict:
         "optimiser": fit.optimiser,
         "iterations": fit.iterations,
         "evaluations": fit.evaluations,
+        "beginning": {r.name: r.beginning for r in (*fit.recordings, *fit.held_out)},
+        "taken_for_granted": taken_for_granted(fit),
         "dt_s": fit.dt,
+        "intervals": fit.method.intervals,
         "seconds": fit.seconds,
         "remarks": remarks(fit),
     }
@@ -150,13 +180,20 @@ def _html(fit: Fit, pictures: dict[str, Path]) -> str:
         "<h2>Parameters</h2>",
         _table(
             (
-                "parameter", "value", "95 % interval", "unit", "initial", "verdict",
-                "half step", "twice the grid",
+                "parameter",
+                "value",
+                "95 % interval",
+                "unit",
+                "initial",
+                "verdict",
+                "half step",
+                "twice the grid",
             ),
             [_row(name, e) for name, e in fit.parameters.items()],
         ),
         "<p><small>Half step, twice the grid: how far the value would move if the simulation were "
-        "finer, in half widths of its interval.</small></p>",
+        "finer, in half widths of its interval. Intervals take for granted what was not fitted: "
+        f"{escape(', '.join(taken_for_granted(fit)))}.</small></p>",
         "<h2>Before you use them</h2><ul>",
         *(f"<li>{escape(r)}</li>" for r in remarks(fit) or ["Nothing stands out."]),
         "</ul><h2>Recordings</h2>",
@@ -184,7 +221,7 @@ def _html(fit: Fit, pictures: dict[str, Path]) -> str:
     if len(fit.parameters) > 1:
         names = list(fit.parameters)
         rows = [
-            (escape(name), *(f"{r:+.2f}" for r in row))
+            (name, *(f"{r:+.2f}" for r in row))
             for name, row in zip(names, fit.correlation, strict=True)
         ]
         parts += ["<h2>Correlations</h2>", _table(("", *names), rows)]
@@ -207,7 +244,7 @@ def _notes(fit: Fit) -> list[str]:
     lines = []
     for r in (*fit.recordings, *fit.held_out):
         conditions = [f"{k} = {v:g}" for k, v in r.recording.conditions.items()]
-        said = (*r.recording.notes, *conditions)
+        said = (*r.recording.notes, *conditions, f"taken to begin {r.beginning}")
         lines += [f"<li>{escape(r.name)}: {escape(text)}</li>" for text in said]
     return ["<ul>", *lines, "</ul>"] if lines else []
 
@@ -216,10 +253,23 @@ def _held_out(fit: Fit) -> list[str]:
     if not fit.held_out:
         return []
     head = ("kept aside", "rms [mm]", "x, y, z [mm]", "samples", "window [s]", "time offset [s]")
+    rows, what = [_recording_row(r) for r in fit.held_out], "Of these only the clock was fitted."
+    if any(r.rmse_own_frame is not None for r in fit.held_out):
+        head = (*head, "in a frame of its own [mm]")
+        own = [r.rmse_own_frame for r in fit.held_out]
+        rows = [
+            (*row, Html("&ndash;") if x is None else f"{1e3 * x:.3f}")
+            for row, x in zip(rows, own, strict=True)
+        ]
+        what = (
+            "Of these the clock was fitted. A recording that does not know where the clamp is is "
+            "seen in the frame of the fitted ones, if those have one; in the last column in one "
+            "that was fitted to it, three offsets and three rotations: kinder than a prediction."
+        )
     return [
         "<h2>Predictions of recordings that were kept aside</h2>",
-        _table(head, [_recording_row(r) for r in fit.held_out]),
-        "<p><small>Of these only the clock was fitted.</small></p>",
+        _table(head, rows),
+        f"<p><small>{what}</small></p>",
     ]
 
 
@@ -231,12 +281,12 @@ def _starts(fit: Fit) -> list[str]:
         (
             str(k + 1),
             f"{1e3 * s.rms:.4g}",
-            *(f"{s.initial[n]:.3g} &rarr; {s.values[n]:.4g}" for n in names),
-            escape(s.result),
+            *(f"{s.initial[n]:.3g} \N{RIGHTWARDS ARROW} {s.values[n]:.4g}" for n in names),
+            s.result,
         )
         for k, s in enumerate(fit.starts)
     ]
-    return ["<h2>Starts</h2>", _table(("", "rms [mm]", *map(escape, names), "result"), rows)]
+    return ["<h2>Starts</h2>", _table(("", "rms [mm]", *names, "result"), rows)]
 
 
 def _explanations(fit: Fit) -> list[str]:
@@ -244,9 +294,9 @@ def _explanations(fit: Fit) -> list[str]:
         return []
     rows = [
         (
-            escape(e.name),
+            e.name,
             f"{1e3 * e.rms:.3f}",
-            ", ".join(f"{escape(k)} = {v:.4g} {escape(e.units[k])}" for k, v in e.values.items()),
+            ", ".join(f"{k} = {v:.4g} {e.units[k]}" for k, v in e.values.items()),
         )
         for e in fit.explanations
     ]
@@ -264,7 +314,8 @@ def _method(fit: Fit) -> str:
     loss = "least squares" if fit.loss == "squares" else f"{fit.loss} weights"
     return (
         f"{escape(fit.optimiser.replace('_', ' '))}, {loss}: {fit.evaluations} "
-        f"simulations, {fit.seconds:.1f} s. Time step {steps}. Positive parameters were fitted as "
+        f"simulations, {fit.seconds:.1f} s. Time step {steps}, {fit.method.intervals} intervals "
+        "along the rod. Positive parameters were fitted as "
         "logarithms. Intervals: linearised least squares, noise estimated by recording and axis "
         "and taken at the frequency where it is largest "
         f"({fit.effective_samples:.0f} independent of {fit.samples} coordinates); bounds of "
@@ -273,13 +324,15 @@ def _method(fit: Fit) -> str:
 
 
 def _row(name: str, e: Estimate) -> tuple:
-    verdict = e.verdict if e.identifiable else f"<span class='no'>{e.verdict}</span>"
-    shift = lambda x: "&ndash;" if x is None else f"{x:+.3f}"
+    verdict = e.verdict
+    if not e.identifiable:
+        verdict = Html(f"<span class='no'>{escape(e.verdict)}</span>")
+    shift = lambda x: Html("&ndash;") if x is None else f"{x:+.3f}"
     return (
-        escape(name),
+        name,
         _show(e.value),
         _interval(e),
-        escape("" if e.unit == "1" else e.unit),
+        "" if e.unit == "1" else e.unit,
         _show(e.initial),
         verdict,
         shift(e.step_shift),
@@ -290,9 +343,9 @@ def _row(name: str, e: Estimate) -> tuple:
 def _recording_row(r) -> tuple:
     offset = f"{r.time_offset:.4f}"
     if r.time_offset_ci95 is not None:
-        offset += f" &plusmn; {(r.time_offset_ci95[1] - r.time_offset_ci95[0]) / 2:.4f}"
+        offset += f" \N{PLUS-MINUS SIGN} {(r.time_offset_ci95[1] - r.time_offset_ci95[0]) / 2:.4f}"
     return (
-        escape(r.name),
+        r.name,
         f"{1e3 * r.rmse:.3f}",
         ", ".join(f"{1e3 * x:.3f}" for x in r.rmse_axes),
         str(_sampled(r)),
@@ -309,6 +362,13 @@ def _show(value) -> str:
     return ", ".join(f"{x:.4g}" for x in np.ravel(value))
 
 
+class Html(str):
+    """Text that is HTML; all other text is escaped where it goes into a table."""
+
+
 def _table(head, rows) -> str:
-    line = lambda cells, tag: "<tr>" + "".join(f"<{tag}>{c}</{tag}>" for c in cells) + "</tr>"
+    shown = lambda cell: cell if isinstance(cell, Html) else escape(cell)
+    line = lambda cells, tag: (
+        "<tr>" + "".join(f"<{tag}>{shown(c)}</{tag}>" for c in cells) + "</tr>"
+    )
     return "<table>" + line(head, "th") + "".join(line(row, "td") for row in rows) + "</table>"

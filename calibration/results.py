@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 import softrod_jax as sr
+from calibration.checkpoint import Checkpoint
 from calibration.drift import Drift
 from calibration.explain import Explanation
 from calibration.recording import Recording
@@ -58,6 +59,9 @@ class RecordingFit:
     - `drift`: a `calibration.drift.Drift` of each channel that was allowed to, by name.
     - `tip_offset` [m] and `frame_rotation` [rad], (3,) each: how the recording's frame was moved
       to fit (`calibration.alignment`); None if the recording knows where the clamp is.
+    - `beginning`: how it was taken to begin.
+    - `frame_fitted`: they were fitted to this recording; else, where it was kept aside, they are
+      those of the fitted ones, and `rmse_own_frame` [m] is what a frame of its own would leave.
     - `shapes` [m], (rows, outputs, 3) at `shape_times` [s, from the start]: the rod's motion.
     """
 
@@ -79,6 +83,9 @@ class RecordingFit:
     frame_rotation: np.ndarray | None
     shape_times: np.ndarray
     shapes: np.ndarray
+    beginning: str = ""
+    frame_fitted: bool = True
+    rmse_own_frame: float | None = None
 
 
 @dataclass(frozen=True)
@@ -97,7 +104,8 @@ class Fit:
     """The outcome of `calibrate`.
 
     - `scene`: the scene with the fitted values; `setup`: the same with what surrounds it. Values
-      of single recordings are not in them.
+      of single recordings are not in them. What is not identifiable is there as it was at the
+      start, or at the end of its interval that is nearest to that.
     - `parameters`: an `Estimate` by label: the name, with @ and the recording if it is its own.
     - `recordings`, `held_out`: a `RecordingFit` each. `rmse_m` [m], `time_offset_s` [s], by name.
     - `result`: "converged", or why the fit stopped. `loss`: "squares", "huber" or "tukey".
@@ -108,7 +116,10 @@ class Fit:
     - `profiles`: by label, those asked for. `starts`: those of a multi-start, the best first.
     - `explanations`: what else would explain the residuals; None if that was not asked for.
     - `material`: name of the material whose range values were compared with, or None.
-    - `dt` [s]: the time step used, by recording. `seconds`: how long the fit took.
+    - `dt` [s]: the time step used, by recording; `method`: the grid along the rod.
+      `resolution_note`: what finer simulations say, if it is more than shifts of parameters.
+    - `checkpoint`: that of the fit, for `calibration.report.write_report` to remove.
+    - `seconds`: how long the fit took.
     """
 
     scene: sr.Scene
@@ -130,6 +141,9 @@ class Fit:
     explanations: tuple[Explanation, ...] | None
     material: str | None
     dt: dict[str, float]
+    method: sr.Collocation
+    resolution_note: str
+    checkpoint: Checkpoint
     seconds: float
 
     @property

@@ -4,7 +4,6 @@ A scene describes the robot. A recording is also shaped by the bench it was made
 that ignores the bench pushes its errors into the material. What is `None` is not computed.
 """
 
-
 import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float

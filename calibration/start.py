@@ -58,12 +58,11 @@ def by_frequency(problem: Problem, first: Point, report: Report) -> np.ndarray:
 def coarse_search(problem: Problem, first: Point, report: Report) -> np.ndarray:
     """Try factors of the modulus and the damping around `first`, one after the other."""
     best = in_time(first)
-    good = (_GOOD * problem.motion_rms) ** 2 * problem.samples
     for name, factors in _SEARCH:
         found = indices(problem, name)
         centre = best[1]
         for theta in np.log(factors) if found else ():
-            if best[0] < good:
+            if problem.explained(best[0], _GOOD):
                 return best[1]
             x = centre.copy()
             x[found] += theta

@@ -1,7 +1,7 @@
 """The unknowns of a fit: which parameter, of which recording, between which bounds."""
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -43,20 +43,20 @@ class Unknowns:
         """(recordings, names) from the unknowns, the first of `x`."""
         return np.where(self.columns < 0, 0.0, x[np.maximum(self.columns, 0)])
 
-    def shared(self, recordings: int) -> "Unknowns":
-        """For other recordings, so many: what single ones own, these take from the setup."""
-        common = [
-            next(
-                (
-                    i
-                    for i, u in enumerate(self.items)
-                    if u.parameter.name == name and u.recording is None
-                ),
-                -1,
-            )
-            for name in self.names
-        ]
-        return Unknowns(self.names, self.items, np.tile(common, (recordings, 1)))
+    def shared(self, x: np.ndarray, recordings: int) -> tuple["Unknowns", np.ndarray]:
+        """For other recordings, so many: of what single ones own, these have the mean in theta.
+        With their own theta, from `x` of the fitted ones."""
+        items, thetas = [], []
+        for name in self.names:
+            of_it = [i for i, u in enumerate(self.items) if u.parameter.name == name]
+            if not of_it:
+                # Every recording's condition is 0, and stays it.
+                continue
+            items.append(replace(self.items[of_it[0]], label=name, recording=None))
+            thetas.append(np.mean(x[of_it]))
+        place = {u.parameter.name: i for i, u in enumerate(items)}
+        columns = np.tile([place.get(name, -1) for name in self.names], (recordings, 1))
+        return Unknowns(self.names, tuple(items), columns), np.array(thetas)
 
 
 def conditioned(setup: Setup, conditions: Mapping[str, float]) -> Setup:
@@ -103,7 +103,7 @@ def choose_unknowns(
 
         def add(label, recording, setup, parameter=parameter, name=name):
             initial = np.asarray(parameter.get(setup))
-            low, high = _bounds(parameter, initial, bounds.get(name))
+            low, high = _bounds(parameter, initial, bounds.get(name), setup)
             items.append(Unknown(label, parameter, recording, initial, low, high))
             return len(items) - 1
 
@@ -129,9 +129,7 @@ def _check_condition(scene, name, recording):
     where = recording.source or recording.name
     known, groups = catalogue(scene)
     if name not in known:
-        raise RecordingError(
-            f"{where}: condition {name!r} is unknown; known: {', '.join(known)}"
-        )
+        raise RecordingError(f"{where}: condition {name!r} is unknown; known: {', '.join(known)}")
     value = recording.conditions[name]
     if not np.isfinite(value):
         raise RecordingError(f"{where}: condition {name} = {value}: a finite number is needed")
@@ -147,10 +145,33 @@ def _check_condition(scene, name, recording):
         raise RecordingError(f"{where}: condition {name} = {value:g}: {what}")
 
 
-def _bounds(parameter, initial, given) -> tuple[float, float]:
+def _bounds(parameter, initial, given, setup) -> tuple[float, float]:
     largest = parameter.scale.largest
+    low, high = (_reach(parameter, initial, setup, end) for end in (-largest, largest))
     if given is None:
-        return -largest, largest
+        return low, high
+    ends = _given_bounds(parameter, initial, given)
+    return max(ends[0], low), min(ends[1], high)
+
+
+_HALVINGS = 40
+
+
+def _reach(parameter: Parameter, initial, setup: Setup, end: float) -> float:
+    """How far theta may go towards `end` for the parameter to stay what it can be, such as a
+    tendon within the section; all the way if it is not there from the start."""
+    allowed = parameter.allowed
+    at = lambda theta: parameter.put(setup, parameter.scale.value(initial, theta))
+    if allowed is None or not allowed(setup) or allowed(at(end)):
+        return end
+    inside, outside = 0.0, end
+    for _ in range(_HALVINGS):
+        middle = (inside + outside) / 2
+        inside, outside = (middle, outside) if allowed(at(middle)) else (inside, middle)
+    return inside
+
+
+def _given_bounds(parameter, initial, given) -> tuple[float, float]:
     try:
         low, high = (float(x) for x in given)
         ends = [parameter.scale.theta(initial, x) for x in (low, high)]

@@ -15,6 +15,8 @@ from softrod_jax.scene import as_arrays
 SETTINGS = dict(scheme=sr.SDIRK(order=2), method=sr.Collocation(intervals=2, order=6))
 TRUTH = {"young_modulus": 2.9e5, "bending_damping": 6e-5}
 RATE, STEPS, RELEASE, NOISE = 100.0, 32, 0.05, 2e-4
+# Of fits: with the steps of the recordings, too.
+FIT = dict(dt=1 / RATE, **SETTINGS)
 
 
 def beam(**values):
@@ -32,9 +34,7 @@ def beam(**values):
     )
 
 
-def release(
-    scene, seed=0, noise=NOISE, name="release", correlation=0.0, duration=None, **parts
-):
+def release(scene, seed=0, noise=NOISE, name="release", correlation=0.0, duration=None, **parts):
     """The rod of `scene`, held straight and let go at RELEASE [s], at once or within `duration`
     [s]; noise that is white, or an AR(1) of this correlation from sample to sample."""
     tensions = None

@@ -42,9 +42,8 @@ def log(drifting, seed=0):
     part = (times / DURATION)[:, None]
     arriving = tensions * (1 + CREEP * part * (drifting == "inputs"))
     trajectory = sr.simulate(robot(), INTERVAL, arriving[1:], **SETTINGS)
-    motion = Motion(
-        trajectory.tip_positions, trajectory.tip_velocities, trajectory.positions, jnp.array(0)
-    )
+    tip = (trajectory.tip_positions, trajectory.tip_velocities)
+    motion = Motion(*tip, trajectory.positions, jnp.array(0), jnp.array(0.0))
     seen = times / (1 - SLOW * (drifting == "clock")) - LATE
     tip = np.array(tip_at(motion, INTERVAL, jnp.asarray(seen)))
     tip += SLIP * part * (drifting == "tip") + NOISE * random.normal(size=tip.shape)

@@ -6,7 +6,7 @@ from dataclasses import replace
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from beams import NOISE, RATE, RELEASE, SETTINGS, TRUTH, beam, release
+from beams import FIT, NOISE, RATE, RELEASE, TRUTH, beam, release
 
 import softrod_jax as sr
 from calibration import RecordingError, calibrate
@@ -22,7 +22,7 @@ NAMES = ("young_modulus", "bending_damping")
 
 
 def fit(recordings, scene=None, **options):
-    plain = {"fit": NAMES, "checks": False, "window": ALL, "progress": False, **SETTINGS}
+    plain = {"fit": NAMES, "checks": False, "window": ALL, "progress": False, **FIT}
     scene = beam(young_modulus=2.3e5, bending_damping=1e-4) if scene is None else scene
     return calibrate(scene, recordings, **{**plain, **options})
 
@@ -240,6 +240,9 @@ def test_an_interrupted_fit_goes_on(recording, tmp_path, monkeypatch):
         done = fit([recording], checkpoint=path, resume=True)
     assert done.result == "converged"
     assert calls[-1].rms <= best * (1 + 1e-9)
+    # Until the fit is written, the checkpoint is all that there is of it on disk.
+    assert path.exists()
+    write_report(done, tmp_path / "out")
     assert not path.exists()
 
 

@@ -4,12 +4,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from beams import RELEASE, SETTINGS, TRUTH, beam, release
+from beams import FIT, RELEASE, TRUTH, beam, release
 
 from calibration import calibrate
 from calibration.noise import _peak
 
-OPTIONS = dict(checks=False, window=(0.0, 1.0), progress=False, **SETTINGS)
+OPTIONS = dict(checks=False, window=(0.0, 1.0), progress=False, **FIT)
 
 
 def autoregressive(rho, count=20000):

@@ -10,6 +10,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from calibration.cli.common import UsageError, note, number, positive, prepare_jax
+from calibration.cli.exclusive import alone_in
 
 _EXAMPLE = Path(__file__).parents[1] / "examples"
 _DEFAULT_OUT = "softrod-calibration"
@@ -86,6 +87,25 @@ def add_arguments(parser) -> None:
         action="store_true",
         help="do not simulate the result again with half the step and twice the grid",
     )
+    search.add_argument(
+        "--dt",
+        type=positive,
+        metavar="S",
+        help="time step [s] (default: found by simulating the recordings with finer ones)",
+    )
+    search.add_argument(
+        "--intervals",
+        type=_count,
+        metavar="N",
+        help="intervals along the rod (default: found in the same way)",
+    )
+    search.add_argument(
+        "--tolerance",
+        type=positive,
+        metavar="PART",
+        help="how far the simulated tip may be off by the time step, in lengths of the rod, and by "
+        "the intervals, a tenth of that (1e-3)",
+    )
     data = parser.add_argument_group("data")
     data.add_argument("--mapping", metavar="FILE.toml", help="which columns of the logs are what")
     data.add_argument(
@@ -143,13 +163,14 @@ def run(args) -> int:
     out = Path(args.out)
     if out.exists() and not out.is_dir():
         raise UsageError(f"--out {out}: is a file; give a directory")
-    bounds = dict(_bound(text) for text in args.bounds or ())
-    drift = dict(_drift(text) for text in args.drift or ())
+    # What can be told to be wrong is told before anything is computed.
+    for text, reads in ((args.bounds, _bound), (args.drift, _drift)):
+        for part in text or ():
+            reads(part)
     prepare_jax()
     import softrod_jax as sr
 
     try:
-        from calibration import calibrate
         from calibration.plots import write_data_plot
         from calibration.report import summary, write_report
     except ImportError as e:
@@ -166,16 +187,34 @@ def run(args) -> int:
         for assumption in recording.notes:
             note(f"{recording.name}: {assumption}")
     out.mkdir(parents=True, exist_ok=True)
-    picture = write_data_plot([*recordings, *held_out], None, out / "data.png")
-    if args.look:
-        print(f"the recordings are in {picture}")
-        return 0
-    fit = calibrate(
+    with alone_in(out):
+        picture = write_data_plot([*recordings, *held_out], None, out / "data.png")
+        if args.look:
+            print(f"the recordings are in {picture}")
+            return 0
+        fit = _fitted(args, scene, recordings, held_out, out)
+        write_report(fit, out)
+    if args.json:
+        print((out / "parameters.json").read_text(encoding="utf-8"))
+    else:
+        print(f"\n{summary(fit)}\nparameters, report and plots are in {out}")
+    if fit.result == "interrupted":
+        note("interrupted; the same command with --resume goes on from here")
+    return 0
+
+
+def _fitted(args, scene, recordings, held_out, out: Path):
+    """The fit that the command line asks for."""
+    import softrod_jax as sr
+    from calibration import calibrate
+
+    method = None if args.intervals is None else sr.Collocation(args.intervals)
+    return calibrate(
         scene,
         recordings,
         fit=_names(args.fit) or None,
         per_recording=_names(args.per_recording),
-        bounds=bounds,
+        bounds=dict(_bound(text) for text in args.bounds or ()),
         held_out=held_out,
         time_offset=not args.no_time_offset,
         optimiser=args.optimiser,
@@ -185,19 +224,14 @@ def run(args) -> int:
         checks=not args.no_checks,
         explain=args.explain,
         material=args.material,
-        drift=drift,
+        drift=dict(_drift(text) for text in args.drift or ()),
+        dt=args.dt,
+        tolerance=args.tolerance,
+        method=method,
         checkpoint=out / "checkpoint.json",
         resume=args.resume,
         progress=True,
     )
-    write_report(fit, out)
-    if args.json:
-        print((out / "parameters.json").read_text(encoding="utf-8"))
-    else:
-        print(f"\n{summary(fit)}\nparameters, report and plots are in {out}")
-    if fit.result == "interrupted":
-        note("interrupted; the same command with --resume goes on from here")
-    return 0
 
 
 def _names(text: str | None) -> tuple[str, ...]:
