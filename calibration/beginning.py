@@ -12,7 +12,7 @@ from jaxtyping import Float
 
 import softrod_jax as sr
 from calibration.frames import straight_tip
-from calibration.onset import start_position
+from calibration.onset import start_position, white_noise
 from calibration.recording import Recording
 from calibration.setup import rotated
 
@@ -24,6 +24,8 @@ _NEAR, _FAR = 0.02, 0.1
 _PART_RESTING, _PART_MOVING = 0.1, 0.25
 # Deflections do not grow beyond this part of the length, whatever linear theory says.
 _LARGEST = 0.6
+# A deflection below so many standard deviations of the noise, of so many samples, is not seen.
+_SIGMAS, _FEW = 4.0, 20
 
 
 def hangs(scene: sr.Scene, recording: Recording) -> bool:
@@ -47,6 +49,10 @@ def hangs(scene: sr.Scene, recording: Recording) -> bool:
     if rests and size < _NEAR:
         # Either place could be meant; not in equilibrium it would not rest.
         return True
+    noise = white_noise(recording.tip_positions[recording.has_tip][:_FEW])
+    if not rests and size * float(scene.length) < _SIGMAS * noise:
+        # No place could tell, and what rings then is no larger than the noise.
+        return False
     part = float(moved @ expected) / size**2
     return part > (_PART_RESTING if rests else _PART_MOVING)
 
