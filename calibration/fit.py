@@ -28,6 +28,7 @@ from calibration.resolution import (
     Resolution,
     finer_problem,
     first_choice,
+    first_steps,
     refine,
 )
 from calibration.results import Fit, RecordingFit
@@ -152,7 +153,8 @@ def calibrate(
         recordings, selections, defaults, drift, tolerance or TOLERANCE,
         steps_fixed=dt is not None, grid_fixed=method is not None,
     )  # fmt: skip
-    batch, clocks = make_batch(scene, recordings, selections, time_offset, dt, defaults, drift)
+    steps = first_steps(recordings, selections) if dt is None else dt
+    batch, clocks = make_batch(scene, recordings, selections, time_offset, steps, defaults, drift)
     problem = Problem(setup, batch, clocks, unknowns, time_offset, scheme, method or METHOD)
     descends = optimiser == "adam" and reverse_pays(len(unknowns.names), outputs=1)
     with Bar() if progress else Silent() as meter:

@@ -255,10 +255,13 @@ def _check_inputs(scene, recording):
             )
 
 
+def sample_interval(recording: Recording) -> float:
+    """Of the tip [s]: inputs may have been sampled faster."""
+    return float(np.median(np.diff(recording.times[recording.has_tip])))
+
+
 def _clock(scene, recording: Recording, time_offset: bool, dt: float | None) -> Clock:
-    times = recording.times
-    # Inputs may have been sampled faster than the tip.
-    interval = float(np.median(np.diff(times[recording.has_tip])))
+    times, interval = recording.times, sample_interval(recording)
     if dt is None:
         dt = interval
     elif not (np.isfinite(dt) and dt > 0):

@@ -18,7 +18,7 @@ from jaxtyping import Float
 
 import softrod_jax as sr
 from calibration.loss import Point, Problem, predict
-from calibration.model import Motion, make_batch
+from calibration.model import Motion, make_batch, sample_interval
 from calibration.recording import Recording
 from calibration.selection import Selection
 from calibration.uncertainty import IDENTIFIED, Uncertainty
@@ -116,8 +116,6 @@ def first_choice(problem: Problem, resolution: Resolution) -> Problem:
     As it is, if nothing can be simulated there: the search may find places where something can.
     """
     x, first = problem.start(), problem
-    if not resolution.steps_fixed:
-        problem = resolution.of(problem, _few_steps(problem, resolution), problem.method)
     allowed = allowed_errors(problem, resolution)
     for _ in range(_TRIES):
         if resolution.steps_fixed and resolution.grid_fixed:
@@ -138,12 +136,13 @@ def allowed_errors(problem: Problem, resolution: Resolution) -> tuple[float, flo
     return in_time, _ALONG_THE_ROD * in_time
 
 
-def _few_steps(problem: Problem, resolution: Resolution) -> list[float]:
-    """A sample each, or several of them where a recording is long [s]."""
+def first_steps(recordings: Sequence[Recording], selections: Sequence[Selection]) -> list[float]:
+    """What to try first [s]: a sample each, or several of them where a recording is long."""
     steps = []
-    for clock, selection in zip(problem.clocks, resolution.selections, strict=True):
-        samples = (selection.end - clock.origin - clock.low) / clock.interval
-        steps.append(clock.interval * max(1, math.ceil(samples / _FIRST_STEPS)))
+    for recording, selection in zip(recordings, selections, strict=True):
+        interval = sample_interval(recording)
+        samples = (selection.end - selection.start) / interval
+        steps.append(interval * max(1, math.ceil(samples / _FIRST_STEPS)))
     return steps
 
 

@@ -11,7 +11,7 @@ from calibration import Recording, calibrate
 from calibration.loss import Problem
 from calibration.model import METHOD, SCHEME, make_batch
 from calibration.report import as_json
-from calibration.resolution import TOLERANCE, Resolution, first_choice
+from calibration.resolution import TOLERANCE, Resolution, first_choice, first_steps
 from calibration.selection import select
 from calibration.unknowns import choose_unknowns
 
@@ -22,7 +22,8 @@ def chosen(scene, recording, steps_fixed=False, grid_fixed=False):
     """The steps [s] and the intervals that a fit of `scene` to `recording` begins with."""
     setup, unknowns = choose_unknowns(scene, [recording], [recording.name], NAMES, (), {})
     selections = [select(recording, None)]
-    batch, clocks = make_batch(scene, [recording], selections, False, None, {})
+    steps = first_steps([recording], selections)
+    batch, clocks = make_batch(scene, [recording], selections, False, steps, {})
     problem = Problem(setup, batch, clocks, unknowns, False, SCHEME, METHOD)
     resolution = Resolution(
         [recording], selections, {}, {}, TOLERANCE, steps_fixed=steps_fixed, grid_fixed=grid_fixed
