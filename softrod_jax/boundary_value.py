@@ -50,6 +50,7 @@ class Found(NamedTuple):
     - `contraction`: the largest ratio of corrections; see `newton.py`.
     - `load_steps`: how many the search took; 1 where it went straight for the answer.
     - `stable`: in statics, whether the equilibrium is stable; see `block_sweep.py`.
+    - `error`: in statics, of the tip from the grid, estimated, in lengths of the rod.
     """
 
     result: Int[Array, ""]
@@ -58,6 +59,7 @@ class Found(NamedTuple):
     contraction: Float[Array, ""]
     load_steps: Int[Array, ""]
     stable: Bool[Array, ""]
+    error: Float[Array, ""] | None = None
 
 
 class Solved(NamedTuple):
@@ -136,6 +138,12 @@ class Equations(NamedTuple):
         """The rod at all points."""
         return self.method.fields(U, *self._problem)
 
+    def error(self, U, factors) -> Float[Array, ""]:
+        """The estimated error of an equilibrium's tip from the grid, in lengths of the rod."""
+        tip = jnp.zeros(self.layout.pair)
+        correct = lambda residual: self.correct(factors, (residual, tip))
+        return self.method.error(U, self.rod, self.layout, self.guess, correct)
+
     def _tip(self, Y):
         history = self.history
         if history is not None:
@@ -212,9 +220,10 @@ def solve_boundary_value(
     if rod.tau is not None:
         gone |= failed & (shortest_path(rod, fields.strain) < _VANISHING)
     result = jnp.where(gone, RESULTS.no_equilibrium, result)
-    # Where there is no estimate, NaN is not above the limit.
-    inaccurate = (result == RESULTS.successful) & (fields.error > method.max_error)
-    result = jnp.where(inaccurate, RESULTS.inaccurate, result).astype(jnp.int32)
+    if not layout.dynamic:
+        inaccurate = (result == RESULTS.successful) & ~(found.error <= method.max_error)
+        result = jnp.where(inaccurate, RESULTS.inaccurate, result)
+    result = result.astype(jnp.int32)
     return Solved(fields, found._replace(result=result), factors)
 
 
@@ -244,7 +253,10 @@ def _solve(inputs, start, *, method, layout, options, search, lend_exact):
     def one(arrays):
         inputs, (guess, before) = eqx.combine(arrays, static)
         equations = Equations(method, layout, *inputs, guess.strain)
-        return search(equations, options, equations.start(guess), before)
+        U, found, factors = search(equations, options, equations.start(guess), before)
+        if not layout.dynamic:
+            found, factors = found._replace(error=equations.error(U, factors)), None
+        return U, found, factors
 
     arrays, static = eqx.partition((inputs, start), eqx.is_array)
     # In lockstep a batch iterates as often as its worst sample, and its factors outgrow the

@@ -19,11 +19,12 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from softrod_jax.block_sweep import apply_each
-from softrod_jax.constitutive import imbalance, recover_strain
+from softrod_jax.constitutive import imbalance, nearby_strain, recover_strain
+from softrod_jax.grid_error import hidden_turns, tip_of, wide_defect
 from softrod_jax.method import Fields, Guess, Linear, Method
-from softrod_jax.rod import Rod
+from softrod_jax.rod import Rod, full_strain
 from softrod_jax.rod_ode import Layout, pointwise_problem, rates, rod_ode_jacobian
-from softrod_jax.shape import integrate_shape
+from softrod_jax.shape import ORIGIN, integrate_shape
 
 
 class _Formula:
@@ -39,9 +40,7 @@ class _Formula:
 
 
 _FORMULAS = {
-    4: _Formula(
-        c=[1 / 2], v=[1 / 2], x=[[1 / 8, -1 / 8]], b=[1 / 6, 1 / 6, 2 / 3]
-    ),
+    4: _Formula(c=[1 / 2], v=[1 / 2], x=[[1 / 8, -1 / 8]], b=[1 / 6, 1 / 6, 2 / 3]),
     6: _Formula(
         c=[1 / 4, 3 / 4, 1 / 2],
         v=[5 / 32, 27 / 32, 1 / 2],
@@ -49,12 +48,6 @@ _FORMULAS = {
         b=[7 / 90, 7 / 90, 16 / 45, 16 / 45, 2 / 15],
     ),
 }
-
-
-# Of the differences of strains, of the method's own order, into an error of the tip. Measured on
-# curls under gravity and tip loads, 6 to 24 intervals: 1 to 6 times the true error for order 4,
-# 3 times (6 intervals) to 600 times (24) for order 6, which has inner points of lower order.
-_DIFFERENCE = {4: 0.03, 6: 1e-3}
 
 
 class Collocation(Method):
@@ -118,7 +111,34 @@ class Collocation(Method):
     def fields(self, U, rod: Rod, layout: Layout, history, guess) -> Fields:
         """The rod at all points."""
         y, strain, _ = self._split(U, rod, layout, history)
-        return Fields(y, strain, self._error(strain, rod.L, layout))
+        return Fields(y, strain)
+
+    def error(self, U, rod: Rod, layout: Layout, guess, correct) -> Float[Array, ""]:
+        """By defect correction: see `grid_error.py`."""
+        h = rod.L / self.intervals
+        y, strain, problem = self._split(U, rod, layout, None)
+        nodes = self.outputs(y)
+        known = self.outputs(rates(y, strain, rod, layout, None))
+
+        def rates_at(y):
+            near = self._strain_at(y, strain, rod)
+            return rates(y, near, rod, layout, None)
+
+        wide = wide_defect(nodes, known, h, self._stride, rates_at)
+        inner = [jnp.zeros_like(nodes[1:])] * len(self._formula.c)
+        forces = None if rod.tau is None else jnp.zeros_like(strain)
+        moved = correct(_Residual(wide.defect, inner, forces))[:, : layout.size]
+        better = full_strain(self._strain_at(wide.y + moved, strain, rod), rod)
+        coarse = self.shape(full_strain(strain, rod), rod.L, *ORIGIN)[0][-1]
+        moved = jnp.linalg.norm(tip_of(better, rod.L) - coarse) / rod.L
+        turning = layout.attitude
+        _, bend = layout.split_strain(strain)
+        return jnp.maximum(moved, hidden_turns(bend, h)) if turning else moved
+
+    def _strain_at(self, y, strain, rod):
+        """The strains at states near those that `strain` belongs to."""
+        problem = pointwise_problem(self.points(rod.L), y, rod, None)
+        return nearby_strain(problem, strain)
 
     def residual(self, U, rod: Rod, layout: Layout, history, guess) -> "_Residual":
         """How far the unknowns are from solving the rod ODE."""
@@ -193,21 +213,6 @@ class Collocation(Method):
         nodes = self.outputs(points)
         rank = np.argsort(np.argsort(self._formula.c))
         return [nodes[:-1], nodes[1:]] + [points[1 + k :: self._stride] for k in rank]
-
-    def _error(self, strain, length, layout):
-        """From differences of the strains along the rod; see `_DIFFERENCE`."""
-        order = self.order
-        if strain.shape[0] <= order:
-            return jnp.array(jnp.nan)
-        rough = jnp.abs(jnp.diff(strain, order, axis=0))
-        stretch, bend = layout.split_strain(rough)
-        # A turn of a section moves the tip by its distance from it.
-        arm = np.linspace(1.0, 0.0, strain.shape[0])
-        arm = np.convolve(arm, np.ones(order + 1) / (order + 1), "valid") * length
-        moved = arm * jnp.max(bend, -1)
-        if stretch is not None:
-            moved = jnp.max(stretch, -1) + moved
-        return _DIFFERENCE[order] * jnp.mean(moved)
 
 
 class _Residual(NamedTuple):

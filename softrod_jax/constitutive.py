@@ -96,6 +96,14 @@ def recover_strain(problem: LocalProblem, guess: Strain) -> tuple[Strain, Bool[A
     return x, jnp.all(converged)
 
 
+def nearby_strain(problem: LocalProblem, strain: Strain) -> Strain:
+    """Strains by one step of Newton's method from `strain`, which solves a nearby problem."""
+    if problem.tau is None:
+        return problem.b / problem.k
+    g = imbalance(problem, strain)
+    return strain - jnp.sum(_inverse(_hessian(problem, strain)) * g[..., None, :], -1)
+
+
 def compliance(problem: LocalProblem, strain: Strain):
     """d(v, u)/d(N, M) at the solution: (*points, 6, 6), symmetric positive definite.
 

@@ -7,6 +7,7 @@ sweeps, the time stepping and the gradients are written once, on top of this int
 """
 
 import abc
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -14,10 +15,6 @@ from jaxtyping import Array, Float
 
 from softrod_jax.rod import Rod
 from softrod_jax.rod_ode import Layout
-
-# Where a search for an accuracy along the rod ends.
-MOST_INTERVALS = 96
-
 
 class Guess(NamedTuple):
     """Where Newton starts: states and strains at the points of the method."""
@@ -27,15 +24,10 @@ class Guess(NamedTuple):
 
 
 class Fields(NamedTuple):
-    """The rod at all points of a method.
-
-    `error`: estimated error of the discretisation, in sizes of the problem: about the error of
-    the tip in lengths of the rod.
-    """
+    """The rod at all points of a method."""
 
     y: Float[Array, "points n"]
     strain: Float[Array, "points 6"]
-    error: Float[Array, ""]
 
 
 class Linear(NamedTuple):
@@ -49,13 +41,15 @@ class Linear(NamedTuple):
 class Method(eqx.Module):
     """A way to solve the rod ODE along the rod; `intervals` between `intervals + 1` nodes.
 
-    `max_error`: the estimated error up to which a solution counts as one.
+    `order`: by which power of the spacing the error falls. `max_error`: the estimated error, in
+    lengths of the rod, up to which a solution counts as one.
 
     The unknowns are an array (rows, columns) whose shape is up to the method. `guess` holds
     strains (points, 6) from which pointwise solves start, where a method needs any.
     """
 
     intervals: eqx.AbstractVar[int]
+    order: eqx.AbstractVar[int]
     max_error: eqx.AbstractVar[float]
 
     @abc.abstractmethod
@@ -85,6 +79,13 @@ class Method(eqx.Module):
     @abc.abstractmethod
     def fields(self, U, rod: Rod, layout: Layout, history, guess) -> Fields:
         """The rod at all points."""
+
+    @abc.abstractmethod
+    def error(self, U, rod: Rod, layout: Layout, guess, correct: Callable) -> Float[Array, ""]:
+        """The estimated error of an equilibrium's tip from the grid, in lengths of the rod.
+
+        `correct(residual)`: the correction of the unknowns for a residual along the rod.
+        """
 
     @abc.abstractmethod
     def residual(self, U, rod: Rod, layout: Layout, history, guess):

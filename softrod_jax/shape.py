@@ -13,6 +13,12 @@ from jaxtyping import Array, Float
 from softrod_jax.rotations import cross, quaternion_product, rigid_motion_exp, to_base
 
 
+# The pose of a clamp at the origin.
+ORIGIN = np.zeros(3), np.array([1.0, 0.0, 0.0, 0.0])
+# Boole's rule: exact for the moments that the sixth-order Magnus expansion needs.
+BOOLE = np.array([7, 32, 12, 32, 7]) / 90
+
+
 def integrate_shape(
     strain: Float[Array, "points 6"],
     length,

@@ -17,12 +17,9 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from softrod_jax.method import Fields, Guess, Linear, Method
-from softrod_jax.rod import Rod
+from softrod_jax.rod import Rod, full_strain
 from softrod_jax.rod_ode import History, Layout, rod_ode, sizes
-from softrod_jax.shape import integrate_shape
-
-# Boole's rule: exact for the moments that the sixth-order Magnus expansion needs.
-_QUARTERS, _BOOLE = np.arange(5) / 4, np.array([7, 32, 12, 32, 7]) / 90
+from softrod_jax.shape import BOOLE, ORIGIN, integrate_shape
 
 # Points of the Lagrange polynomials that interpolate the history.
 _WINDOW = 6
@@ -69,6 +66,10 @@ class Shooting(Method):
     def intervals(self) -> int:
         return self.segments
 
+    @property
+    def order(self) -> int:
+        return self.solver.order(None)
+
     def finer(self) -> "Shooting":
         """Twice as many steps in each segment."""
         return dataclasses.replace(self, steps=2 * self.steps)
@@ -85,7 +86,7 @@ class Shooting(Method):
         """Positions (points, 3) and quaternions (points, 4), at order 6."""
         x = jnp.arange(4 * (strain.shape[0] - 1) + 1) / 4
         fine = _Window(x, strain.shape[0]).interpolate(strain)
-        return integrate_shape(fine, length, base_position, base_quaternion, _QUARTERS, _BOOLE)
+        return integrate_shape(fine, length, base_position, base_quaternion, np.arange(5) / 4, BOOLE)
 
     def unknowns(self, guess: Guess, rod: Rod) -> Float[Array, "nodes n"]:
         """The states at the nodes."""
@@ -97,12 +98,23 @@ class Shooting(Method):
 
     def fields(self, U, rod: Rod, layout: Layout, history, guess) -> Fields:
         """The rod at the ends of all steps."""
-        ends, error = self._propagate(U[:-1], rod, layout, history, guess)
+        ends, _ = self._propagate(U[:-1], rod, layout, history, guess)
         starts = jnp.concatenate([U[None, :-1], ends[:-1]])
         y = jnp.swapaxes(starts, 0, 1).reshape(-1, layout.size)
         y = jnp.concatenate([y, U[-1:]])
         at = rod_ode(self.points(rod.L), y, rod, layout, history, guess)
-        return Fields(y, at.strain, error)
+        return Fields(y, at.strain)
+
+    def error(self, U, rod: Rod, layout: Layout, guess, correct) -> Float[Array, ""]:
+        """By one correction for the equations of twice as many steps."""
+        finer, count = self.finer(), guess.shape[0]
+        between = _Window(jnp.arange(2 * count - 1) / 2, count).interpolate(guess)
+        problem = rod, layout, None
+        moved = correct(finer.residual(U, *problem, between))
+        better = finer.fields(U + moved, *problem, between).strain
+        coarse = self.fields(U, *problem, guess).strain
+        tip = lambda method, strain: method.shape(full_strain(strain, rod), rod.L, *ORIGIN)[0][-1]
+        return jnp.linalg.norm(tip(finer, better) - tip(self, coarse)) / rod.L
 
     def residual(self, U, rod: Rod, layout: Layout, history, guess) -> Float[Array, "segments n"]:
         """How far each segment ends from the next node."""

@@ -1,6 +1,6 @@
 """Static equilibrium of a scene under constant actuation."""
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
@@ -16,9 +16,15 @@ from softrod_jax.boundary_value import (
 )
 from softrod_jax.collocation import Collocation
 from softrod_jax.compiling import compiled
+from softrod_jax.grid_control import (
+    DEFAULT_TOLERANCE,
+    first_grid,
+    needed_intervals,
+    solve_within,
+)
 from softrod_jax.inputs import actuation, good_inputs, is_traced, zero_unless
-from softrod_jax.method import MOST_INTERVALS, Guess, Method
-from softrod_jax.newton import NewtonOptions
+from softrod_jax.method import Guess, Method
+from softrod_jax.newton import NewtonOptions, no_factors
 from softrod_jax.precision import require_float64
 from softrod_jax.restrictions import in_space
 from softrod_jax.results import RESULTS, raise_unless_successful, without_derivative
@@ -49,9 +55,8 @@ class StaticSolution(eqx.Module):
     - `stats`: "iterations", "residual" (Newton's last correction, relative to the size of the
       state), "load_steps" (1: reached at once; more: by continuation in the load), "stable"
       (false: a disturbance, however small, takes the rod to another equilibrium; of a scene with
-      a plane, one in that plane), "error" (of
-      the discretisation along the rod, estimated, in lengths of the rod; NaN: no estimate),
-      "transient_steps" (of the damped motion; 0: it was not needed).
+      a plane, one in that plane), "error" (of the tip from the grid along the rod, estimated, in
+      lengths of the rod), "needed_intervals" (with which that would be 1e-4), "transient_steps" (of the damped motion; 0: it was not needed).
     """
 
     tip_position: Float[Array, "3"]
@@ -72,7 +77,7 @@ def solve_static(
     tensions: Float[Array, "tendons"] | None = None,
     pressures: Float[Array, "chambers"] | None = None,
     *,
-    method: Method = Collocation(),
+    method: Method | None = None,
     newton: NewtonOptions = NewtonOptions(),
     tolerance: float | None = None,
     throw: bool = True,
@@ -84,9 +89,11 @@ def solve_static(
 
     - `tensions` [N], (tendons,), and `pressures` [Pa], (chambers,): `None` leaves that
       actuator out.
-    - `method`: how to solve along the rod; `Collocation` or `Shooting`.
-    - `tolerance`: refine the grid until the estimated error is below this many lengths of the
-      rod. Not under `jit`, `vmap` or `grad`.
+    - `method`: how to solve along the rod; `Collocation` or `Shooting`, on the grid as given.
+      `None`: `Collocation()`, refined until the tip is good to 1e-4 lengths of the rod.
+    - `tolerance`: refine the grid, from `method` on, until the estimated error is below this many
+      lengths of the rod. Under `jit`, `vmap` and `grad` a grid cannot be refined: the code
+      `inaccurate` says that it is too coarse, and `stats["needed_intervals"]` which one is not.
     - `throw`: raise `SolveError` if there is no answer; else see `StaticSolution.result`.
 
     Under `jit`, `vmap` and `grad` the damped motion is not tried: such a sample has a code.
@@ -105,19 +112,11 @@ def solve_static(
             f"solve_static: tolerance={tolerance}; a part of the rod's length in (0, 1) is needed, "
             "and not under jit, vmap or grad: there, give a method with enough intervals"
         )
-    solution = _solve(*arguments, method, newton, traced)
-    while tolerance is not None and int(solution.result) == 0:
-        if not solution.stats["error"] > tolerance:
-            break
-        # The estimate is a pessimist: two grids decide.
-        coarse, method = solution, method.finer()
-        solution = _solve(*arguments, method, newton, traced)
-        moved = jnp.linalg.norm(solution.tip_position - coarse.tip_position)
-        if moved <= tolerance * scene.length:
-            break
-        if 2 * method.intervals > MOST_INTERVALS:
-            inaccurate = jnp.array(int(RESULTS.inaccurate), jnp.int32)
-            solution = eqx.tree_at(lambda x: x.result, solution, inaccurate)
+    if method is None and not traced:
+        method, tolerance = first_grid(Collocation(), scene), tolerance or DEFAULT_TOLERANCE
+    method = Collocation() if method is None else method
+    solve = lambda method: _solve(*arguments, method, newton, traced)
+    solution = solve(method) if tolerance is None else solve_within(solve, method, tolerance)
     if throw:
         solution = raise_unless_successful(solution.result, solution, "solve_static")
     return solution
@@ -160,7 +159,7 @@ def _problem(scene, tensions, pressures, method):
 
 def _solution(scene, rod, method, solved, valid, transient_steps):
     result = jnp.where(valid, solved.found.result, RESULTS.bad_input).astype(jnp.int32)
-    fields = solved.fields
+    fields, error = solved.fields, solved.found.error
     strain = full_strain(fields.strain, rod)
     positions, quaternions = method.shape(strain, rod.L, *clamp_pose(scene))
     wrench = method.outputs(fields.y)[:, -layout_of(rod, dynamic=False).pair :]
@@ -178,7 +177,8 @@ def _solution(scene, rod, method, solved, valid, transient_steps):
             "residual": solved.found.correction,
             "load_steps": solved.found.load_steps,
             "stable": solved.found.stable & valid,
-            "error": fields.error,
+            "error": error,
+            "needed_intervals": needed_intervals(error, method),
             "transient_steps": transient_steps,
         },
         point_strains=strain,
@@ -215,6 +215,7 @@ class _Load(NamedTuple):
     found: Found
     before: Array
     before_load: Array
+    factors: Any
     tries: Array
     running: Array
 
@@ -234,7 +235,7 @@ def search_by_load(equations: Equations, options: NewtonOptions, U, before=None)
         ahead = jnp.where(past.load_steps > 1, ahead, 0.0)
         start = state.U + ahead * (state.U - state.before)
         loaded = equations._replace(rod=scaled_loads(equations.rod, load))
-        new, found, _ = search_directly(loaded, options, start)
+        new, found, factors = search_directly(loaded, options, start)
         converged = found.result == RESULTS.successful
         # An unstable answer means that a singular point was stepped over: the path, with its
         # imperfections, passes by its side. Only where the path itself is unstable (a column
@@ -260,12 +261,14 @@ def search_by_load(equations: Equations, options: NewtonOptions, U, before=None)
             found=found,
             before=jnp.where(ok, state.U, state.before),
             before_load=jnp.where(ok, state.load, state.before_load),
+            factors=factors,
             tries=tries,
             running=~stuck & ~finished,
         )
 
     zero, none = jnp.zeros((), jnp.int32), jnp.zeros(())
     found = Found(zero, zero, none, none, zero, jnp.array(True))
-    start = _Load(none, jnp.ones(()), U, found, U, none, zero, jnp.array(True))
+    factors = no_factors(equations.factorise, U)
+    start = _Load(none, jnp.ones(()), U, found, U, none, factors, zero, jnp.array(True))
     end = jax.lax.while_loop(lambda state: state.running, attempt, start)
-    return end.U, end.found, None
+    return end.U, end.found, end.factors
