@@ -16,7 +16,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from softrod_jax.block_sweep import factorise, has_no_conjugate_point, solve_sweeps
 from softrod_jax.constitutive import shortest_path
-from softrod_jax.method import Fields, Guess, Method
+from softrod_jax.method import Guess, Method
 from softrod_jax.newton import Borrowed, NewtonOptions, newton
 from softrod_jax.results import RESULTS
 from softrod_jax.rod import Rod
@@ -65,7 +65,7 @@ class Found(NamedTuple):
 class Solved(NamedTuple):
     """States and strains at all points, how they were found, and the last factors in a motion."""
 
-    fields: Fields
+    fields: Guess
     found: Found
     factors: Any
 
@@ -134,7 +134,7 @@ class Equations(NamedTuple):
         stretch = None if stretch is None else jnp.ones(layout.vector)
         return layout.join(states, stretch, curvature * jnp.ones(layout.turn))
 
-    def fields(self, U) -> Fields:
+    def fields(self, U) -> Guess:
         """The rod at all points."""
         return self.method.fields(U, *self._problem)
 

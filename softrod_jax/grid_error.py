@@ -70,6 +70,21 @@ def tip_of(strain: Float[Array, "points 6"], length) -> Float[Array, "3"]:
     return integrate_shape(fine, length, *ORIGIN, np.arange(5) / 4, BOOLE)[0][-1]
 
 
+def roughness(
+    bend: Float[Array, "points k"], stretch: Float[Array, "points k"] | None, order: int, length
+) -> Float[Array, ""]:
+    """Differences of the strains along the rod of this order, as the tip sees them, in lengths.
+
+    Their mean along the rod: a front of stretch that runs along it moves the tip little.
+    """
+    rough = lambda x: jnp.max(jnp.abs(jnp.diff(x, order, axis=0)), -1)
+    # A turn of a section moves the tip by its distance from it.
+    arm = np.linspace(1.0, 0.0, bend.shape[0])
+    arm = np.convolve(arm, np.ones(order + 1) / (order + 1), "valid") * length
+    moved = arm * rough(bend)
+    return jnp.mean(moved if stretch is None else rough(stretch) + moved)
+
+
 def hidden_turns(bend: Float[Array, "points k"], h) -> Float[Array, ""]:
     """A lower bound for the estimate where intervals of length `h` turn too far; else zero."""
     turn = h * jnp.mean(jnp.sqrt(jnp.sum(bend**2, -1)))
@@ -115,7 +130,7 @@ def _across_intervals(n: int, stride: int):
 
 @functools.cache
 def _halfway(points: int):
-    """Lagrange interpolation half-way between points: those it uses, (points - 1, w), and weights."""
+    """Lagrange interpolation half-way between points: which it uses, and weights, (points - 1, w)."""
     width = min(_STRAINS, points)
     gap = np.arange(points - 1)
     first = np.clip(gap - (width // 2 - 1), 0, points - width)

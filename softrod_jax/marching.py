@@ -19,6 +19,7 @@ from softrod_jax.boundary_value import (
     scaled_loads,
     slow_unless,
     solve_boundary_value,
+    with_loads,
 )
 from softrod_jax.inertial_search import Before, search_by_inertia
 from softrod_jax.inputs import good_inputs, zero_unless
@@ -90,7 +91,7 @@ class March(NamedTuple):
 class Running(NamedTuple):
     """What a substep hands to the next, besides the memory of the time scheme.
 
-    `loads`: those of the last solve; `rate`: that of the strains there; `factors`
+    `loads` and `history`: those of the last solve; `rate`: that of the strains there; `factors`
     of the last Jacobian, made with `c0`. `part`: the length of the next substep, in steps,
     where errors choose it.
     """
@@ -98,6 +99,7 @@ class Running(NamedTuple):
     guess: Guess
     loads: list
     rate: Float[Array, "points 6"]
+    history: History
     factors: Any
     c0: Float[Array, ""]
     result: Int[Array, ""]
@@ -122,6 +124,10 @@ def march(scene, dt, inputs, begin, steps, substeps, scheme, method, options, go
     _, (strains, velocities, results, stats) = jax.lax.scan(
         stepping.step, start, (coefficients, course)
     )
+    # An answer that rests on an inaccurate one is inaccurate.
+    so_far = jnp.cumsum(results == RESULTS.inaccurate) > 0
+    inaccurate = (results == RESULTS.successful) & so_far
+    results = jnp.where(inaccurate, RESULTS.inaccurate, results)
     strains = jnp.concatenate([start[0][0].strain[None], strains])
     velocities = jnp.concatenate([jnp.zeros_like(velocities[:1]), velocities])
     rod = stepping.rod
@@ -171,12 +177,13 @@ def make_stepping(scene, dt, actuation, begin, substeps, scheme, method, options
             alive = running.result == RESULTS.successful
             rod = scaled_loads(rod, jnp.where(alive, 1.0, 0.0))
             usable = alive & (running.c0 == c0)
+            history = slow_unless(alive, History(c0, history.strain, history.velocity))
             solved = solve_boundary_value(
                 method,
                 layout,
                 options,
                 rod,
-                slow_unless(alive, History(c0, history.strain, history.velocity)),
+                history,
                 jax.tree.map(lambda a, b: jnp.where(alive, a, b), running.guess, unloaded),
                 search_by_inertia,
                 jax.lax.stop_gradient(
@@ -199,7 +206,7 @@ def make_stepping(scene, dt, actuation, begin, substeps, scheme, method, options
                 result=jnp.where(running.result == 0, result, running.result),
                 iterations=running.iterations + found.iterations,
                 correction=jnp.maximum(running.correction, found.correction),
-                error=jnp.maximum(running.error, jax.lax.stop_gradient(fields.error)),
+                history=jax.lax.stop_gradient(history),
             )
             return Fields(fields.strain, jnp.concatenate([q, w], -1)), running
 
@@ -208,7 +215,7 @@ def make_stepping(scene, dt, actuation, begin, substeps, scheme, method, options
         ok = after.result == RESULTS.successful
         hold = lambda new, old: jax.tree.map(lambda a, b: jnp.where(ok, a, b), new, old)
         memory = hold(new_memory, jax.lax.stop_gradient(memory))
-        last = ("guess", "loads", "rate")
+        last = ("guess", "loads", "rate", "history")
         pick = lambda running: {name: getattr(running, name) for name in last}
         return (memory, after._replace(**hold(pick(after), pick(running)))), error
 
@@ -268,21 +275,27 @@ def make_stepping(scene, dt, actuation, begin, substeps, scheme, method, options
         memory, running = state
         coefficients, course = row
         running = running._replace(
-            iterations=jnp.zeros((), jnp.int32), correction=jnp.zeros(()), error=jnp.zeros(())
+            iterations=jnp.zeros((), jnp.int32), correction=jnp.zeros(())
         )
         if isinstance(substeps, LocalError):
             state, count = substeps_by_error(course, (memory, running))
         else:
             state, count = equal_substeps(course, coefficients, (memory, running))
         memory, running = state
+        now = with_loads(rod, running.loads)
+        now_at, history = running.guess, running.history
+        error = method.error_in_motion(now_at, now, layout, history, now_at.strain)
+        state = memory, running._replace(error=error)
+        coarse = (running.result == RESULTS.successful) & (error > method.max_error)
+        result = jnp.where(coarse, RESULTS.inaccurate, running.result).astype(jnp.int32)
         stats = {
             "iterations": running.iterations,
             "residual": running.correction,
-            "error": running.error,
+            "error": error,
             "substeps": jnp.asarray(count, jnp.int32),
         }
         seen = method.outputs(memory[0].velocity)
-        return state, (memory[0].strain, seen, running.result, stats)
+        return state, (memory[0].strain, seen, result, stats)
 
     def start():
         zero, none = jnp.zeros((), jnp.int32), jnp.zeros(())
@@ -293,6 +306,7 @@ def make_stepping(scene, dt, actuation, begin, substeps, scheme, method, options
             guess,
             loads_of(scaled_loads(rod, 0.0)),
             steady,
+            at_rest,
             no_factors(equations.factorise, equations.start(guess)),
             none,
             first_code,

@@ -14,17 +14,11 @@ import equinox as eqx
 from jaxtyping import Array, Float
 
 from softrod_jax.rod import Rod
-from softrod_jax.rod_ode import Layout
+from softrod_jax.rod_ode import History, Layout
+
 
 class Guess(NamedTuple):
-    """Where Newton starts: states and strains at the points of the method."""
-
-    y: Float[Array, "points n"]
-    strain: Float[Array, "points 6"]
-
-
-class Fields(NamedTuple):
-    """The rod at all points of a method."""
+    """States and strains at the points of the method: of an answer, or where Newton starts."""
 
     y: Float[Array, "points n"]
     strain: Float[Array, "points 6"]
@@ -77,7 +71,7 @@ class Method(eqx.Module):
         """The states at the nodes."""
 
     @abc.abstractmethod
-    def fields(self, U, rod: Rod, layout: Layout, history, guess) -> Fields:
+    def fields(self, U, rod: Rod, layout: Layout, history, guess) -> Guess:
         """The rod at all points."""
 
     @abc.abstractmethod
@@ -86,6 +80,12 @@ class Method(eqx.Module):
 
         `correct(residual)`: the correction of the unknowns for a residual along the rod.
         """
+
+    @abc.abstractmethod
+    def error_in_motion(
+        self, fields: Guess, rod: Rod, layout: Layout, history: History, guess
+    ) -> Float[Array, ""]:
+        """The same at an instant of a motion: the error if the rod were held in this state."""
 
     @abc.abstractmethod
     def residual(self, U, rod: Rod, layout: Layout, history, guess):

@@ -12,7 +12,6 @@ from jaxtyping import Array, Float
 
 from softrod_jax.rotations import cross, quaternion_product, rigid_motion_exp, to_base
 
-
 # The pose of a clamp at the origin.
 ORIGIN = np.zeros(3), np.array([1.0, 0.0, 0.0, 0.0])
 # Boole's rule: exact for the moments that the sixth-order Magnus expansion needs.

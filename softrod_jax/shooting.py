@@ -16,7 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from softrod_jax.method import Fields, Guess, Linear, Method
+from softrod_jax.method import Guess, Linear, Method
 from softrod_jax.rod import Rod, full_strain
 from softrod_jax.rod_ode import History, Layout, rod_ode, sizes
 from softrod_jax.shape import BOOLE, ORIGIN, integrate_shape
@@ -86,7 +86,9 @@ class Shooting(Method):
         """Positions (points, 3) and quaternions (points, 4), at order 6."""
         x = jnp.arange(4 * (strain.shape[0] - 1) + 1) / 4
         fine = _Window(x, strain.shape[0]).interpolate(strain)
-        return integrate_shape(fine, length, base_position, base_quaternion, np.arange(5) / 4, BOOLE)
+        return integrate_shape(
+            fine, length, base_position, base_quaternion, np.arange(5) / 4, BOOLE
+        )
 
     def unknowns(self, guess: Guess, rod: Rod) -> Float[Array, "nodes n"]:
         """The states at the nodes."""
@@ -96,14 +98,14 @@ class Shooting(Method):
         """The unknowns themselves."""
         return U
 
-    def fields(self, U, rod: Rod, layout: Layout, history, guess) -> Fields:
+    def fields(self, U, rod: Rod, layout: Layout, history, guess) -> Guess:
         """The rod at the ends of all steps."""
         ends, _ = self._propagate(U[:-1], rod, layout, history, guess)
         starts = jnp.concatenate([U[None, :-1], ends[:-1]])
         y = jnp.swapaxes(starts, 0, 1).reshape(-1, layout.size)
         y = jnp.concatenate([y, U[-1:]])
         at = rod_ode(self.points(rod.L), y, rod, layout, history, guess)
-        return Fields(y, at.strain)
+        return Guess(y, at.strain)
 
     def error(self, U, rod: Rod, layout: Layout, guess, correct) -> Float[Array, ""]:
         """By one correction for the equations of twice as many steps."""
@@ -115,6 +117,17 @@ class Shooting(Method):
         coarse = self.fields(U, *problem, guess).strain
         tip = lambda method, strain: method.shape(full_strain(strain, rod), rod.L, *ORIGIN)[0][-1]
         return jnp.linalg.norm(tip(finer, better) - tip(self, coarse)) / rod.L
+
+    def error_in_motion(self, fields: Guess, rod: Rod, layout: Layout, history, guess):
+        """From the solver's own estimate of every step; NaN where it has none.
+
+        A moment that is wrong by a part of the largest one bends the rod the more wrongly, the
+        more that one bends it.
+        """
+        nodes = self.unknowns(Guess(fields.y, fields.strain), rod)
+        _, error = self._propagate(nodes[:-1], rod, layout, history, guess)
+        _, bend = layout.split_strain(fields.strain)
+        return error * jnp.maximum(1.0, rod.L * jnp.max(jnp.abs(bend)))
 
     def residual(self, U, rod: Rod, layout: Layout, history, guess) -> Float[Array, "segments n"]:
         """How far each segment ends from the next node."""

@@ -56,7 +56,8 @@ class StaticSolution(eqx.Module):
       state), "load_steps" (1: reached at once; more: by continuation in the load), "stable"
       (false: a disturbance, however small, takes the rod to another equilibrium; of a scene with
       a plane, one in that plane), "error" (of the tip from the grid along the rod, estimated, in
-      lengths of the rod), "needed_intervals" (with which that would be 1e-4), "transient_steps" (of the damped motion; 0: it was not needed).
+      lengths of the rod), "needed_intervals" (with which that would be 1e-4), "transient_steps"
+      (of the damped motion; 0: it was not needed).
     """
 
     tip_position: Float[Array, "3"]

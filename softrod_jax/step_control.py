@@ -14,8 +14,8 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 
-from softrod_jax.marching import MOST_SUBSTEPS, LocalError
 from softrod_jax.grid_control import MOST_INTERVALS
+from softrod_jax.marching import MOST_SUBSTEPS, LocalError
 from softrod_jax.method import Method
 from softrod_jax.results import RESULTS
 from softrod_jax.rod import Rod

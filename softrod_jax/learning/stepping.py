@@ -73,7 +73,9 @@ class RodState(eqx.Module):
 
     @property
     def result(self) -> Int[Array, ""]:
-        return self.running.result
+        running, method = self.running, self.made_by[1]
+        coarse = (running.result == RESULTS.successful) & (running.error > method.max_error)
+        return jnp.where(coarse, RESULTS.inaccurate, running.result).astype(jnp.int32)
 
     @property
     def iterations(self) -> Int[Array, ""]:
