@@ -68,7 +68,7 @@ class Collocation(Method):
 
     intervals: int = eqx.field(static=True, default=12)
     order: int = eqx.field(static=True, default=6)
-    max_error: float = eqx.field(static=True, default=1e-2)
+    max_error: float = eqx.field(static=True, default=3e-3)
 
     def __check_init__(self):
         if self.order not in _FORMULAS:

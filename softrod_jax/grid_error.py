@@ -130,7 +130,7 @@ def _across_intervals(n: int, stride: int):
 
 @functools.cache
 def _halfway(points: int):
-    """Lagrange interpolation half-way between points: which it uses, and weights, (points - 1, w)."""
+    """Lagrange interpolation half-way between points: those it uses, and its weights."""
     width = min(_STRAINS, points)
     gap = np.arange(points - 1)
     first = np.clip(gap - (width // 2 - 1), 0, points - width)

@@ -61,7 +61,8 @@ def propagated(method):
     guess = jnp.tile(STRAIGHT, (points.shape[0], 1))
     Y = jnp.zeros((method.intervals + 1, LAYOUT.size)).at[0].set(START)
     problem = ROD, LAYOUT, smooth_history(points), guess
-    return method.residual(Y, *problem), method.fields(Y, *problem).error
+    error = method.error_in_motion(method.fields(Y, *problem), *problem)
+    return method.residual(Y, *problem), error
 
 
 @pytest.mark.parametrize(
