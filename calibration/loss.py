@@ -95,8 +95,8 @@ def _check_memory(batch: Batch, courses, parameters: int, method, reverse: bool)
     needed += 0 if reverse else 3 * 8.0 * batch.times.size * (parameters + sum(seen.values()))
     check_memory(
         needed,
-        f"{many} recording{'s'[: many > 1]} of up to {steps} steps and {samples} samples, with "
-        f"{parameters + sum(seen.values())} unknowns each",
+        f"{many} recording{'s'[: many > 1]} of up to {steps} steps and {samples} samples"
+        + (f", with {parameters + sum(seen.values())} unknowns each" if parameters else ""),
         "use a part of the recordings (--window START END), longer windows of a drift, or larger "
         "steps (dt)",
     )
@@ -165,6 +165,8 @@ def _sensitivities(setup, batch, theta, courses, names, scheme, method):
 
 def predict(setup, batch: Batch, theta, courses, names, scheme, method):
     """Like `evaluate`, without sensitivities: residuals and motions of every recording."""
+    # Of what `evaluate` takes, half the step or twice the grid takes no more.
+    _check_memory(batch, {}, 0, method, reverse=False)
     return _compiled(_predict)(setup, batch, theta, courses, names, scheme, method)
 
 
