@@ -122,7 +122,9 @@ def one_zero(path, clocks):
         )
     zero = min(clock.min() for clock in clocks)
     seconds = [(c - zero) / np.timedelta64(1, "ns") * 1e-9 for c in clocks]
-    return seconds, (f"time 0 is {np.datetime_as_string(zero, timezone='naive').rstrip('0')}",)
+    return seconds, (
+        f"time 0 is {np.datetime_as_string(zero, timezone='naive').rstrip('0').rstrip('.')}",
+    )
 
 
 def check_interval(path, mapping, times) -> None:
