@@ -27,7 +27,7 @@ class RESULTS(IntEnum):
 _MESSAGES = {
     RESULTS.successful: ("successful", ""),
     RESULTS.no_equilibrium: (
-        "no smooth equilibrium: along a stretch of the rod the loads press a tendon's path, or the "
+        "no smooth equilibrium: along a stretch of the rod the loads press a tendon path, or the "
         "rod itself, to nothing",
         "lower the tensions, the suction or the other loads along the rod, or raise young_modulus",
     ),
