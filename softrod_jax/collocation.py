@@ -20,7 +20,7 @@ from jaxtyping import Array, Float
 
 from softrod_jax.block_sweep import apply_each
 from softrod_jax.constitutive import imbalance, nearby_strain, recover_strain
-from softrod_jax.grid_error import hidden_turns, roughness, tip_of, wide_defect
+from softrod_jax.grid_error import CAUTION, hidden_turns, roughness, tip_of, wide_defect
 from softrod_jax.method import Guess, Linear, Method
 from softrod_jax.rod import Rod, full_strain
 from softrod_jax.rod_ode import Layout, pointwise_problem, rates, rod_ode_jacobian
@@ -68,7 +68,7 @@ class Collocation(Method):
 
     intervals: int = eqx.field(static=True, default=12)
     order: int = eqx.field(static=True, default=6)
-    max_error: float = eqx.field(static=True, default=3e-3)
+    max_error: float = eqx.field(static=True, default=1e-2)
 
     def __check_init__(self):
         if self.order not in _FORMULAS:
@@ -137,7 +137,7 @@ class Collocation(Method):
         moved = correct(_Residual(wide.defect, inner, forces))[:, : layout.size]
         better = full_strain(self._strain_at(wide.y + moved, strain, rod), rod)
         coarse = self.shape(full_strain(strain, rod), rod.L, *ORIGIN)[0][-1]
-        moved = jnp.linalg.norm(tip_of(better, rod.L) - coarse) / rod.L
+        moved = CAUTION * jnp.linalg.norm(tip_of(better, rod.L) - coarse) / rod.L
         turning = layout.attitude
         _, bend = layout.split_strain(strain)
         return jnp.maximum(moved, hidden_turns(bend, h)) if turning else moved

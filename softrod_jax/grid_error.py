@@ -20,6 +20,9 @@ from jaxtyping import Array, Float
 
 from softrod_jax.shape import BOOLE, ORIGIN, integrate_shape
 
+# Where the order is reached, a correction is the error; where an interval is longer than a layer
+# of bending, it is half of that at the least.
+CAUTION = 2.0
 # Nodes of the polynomial through states and rates, and points of the wider quadrature on either
 # side of an interval.
 _NODES, _BESIDE = 4, 2

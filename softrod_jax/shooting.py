@@ -16,6 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from softrod_jax.grid_error import CAUTION
 from softrod_jax.method import Guess, Linear, Method
 from softrod_jax.rod import Rod, full_strain
 from softrod_jax.rod_ode import History, Layout, rod_ode, sizes
@@ -116,7 +117,8 @@ class Shooting(Method):
         better = finer.fields(U + moved, *problem, between).strain
         coarse = self.fields(U, *problem, guess).strain
         tip = lambda method, strain: method.shape(full_strain(strain, rod), rod.L, *ORIGIN)[0][-1]
-        return jnp.linalg.norm(tip(finer, better) - tip(self, coarse)) / rod.L
+        moved = tip(finer, better) - tip(self, coarse)
+        return CAUTION * jnp.linalg.norm(moved) / rod.L
 
     def error_in_motion(self, fields: Guess, rod: Rod, layout: Layout, history, guess):
         """From the solver's own estimate of every step; NaN where it has none.
