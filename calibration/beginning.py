@@ -36,11 +36,12 @@ def hangs(scene: sr.Scene, recording: Recording) -> bool:
     if not inputs or np.count_nonzero(recording.has_tip) < 3:
         return False
     start, rests = start_position(recording)
-    moved = (start - straight_tip(scene)) / float(scene.length)
+    seen = recording.coordinates
+    moved = np.where(seen, start - straight_tip(scene), 0.0) / float(scene.length)
     away = float(np.linalg.norm(moved))
     if away > _FAR:
         return True
-    expected = _linear_deflection(scene, recording) / float(scene.length)
+    expected = np.where(seen, _linear_deflection(scene, recording), 0.0) / float(scene.length)
     size = float(np.linalg.norm(expected))
     if size == 0:
         return away > _NEAR
@@ -49,7 +50,7 @@ def hangs(scene: sr.Scene, recording: Recording) -> bool:
     if rests and size < _NEAR:
         # Either place could be meant; not in equilibrium it would not rest.
         return True
-    noise = white_noise(recording.tip_positions[recording.has_tip][:_FEW])
+    noise = white_noise(recording.track[1][:_FEW])
     if not rests and size * float(scene.length) < _SIGMAS * noise:
         # No place could tell, and what rings then is no larger than the noise.
         return False

@@ -15,6 +15,7 @@ from calibration.checkpoint import Checkpoint
 from calibration.checks import predicted
 from calibration.drift import durations
 from calibration.explain import explain as what_else
+from calibration.first_look import check_axes
 from calibration.loss import Point, Problem, reverse_pays
 from calibration.model import METHOD, SCHEME, make_batch
 from calibration.optimise import Outcome
@@ -160,6 +161,7 @@ def calibrate(
     with Bar() if progress else Silent() as meter:
         meter.stage("steps and grid", None)
         problem = first_choice(problem, resolution)
+        check_axes(problem.at(problem.start()), recordings)
         searched = replace(problem, reverse=descends)
         saved = Checkpoint(checkpoint, problem, resume, (optimiser, loss, starts, seed))
         log = Log(meter, saved)

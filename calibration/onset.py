@@ -66,10 +66,9 @@ def start_position(recording: Recording) -> tuple[np.ndarray, bool]:
 
     The median of all samples at rest; of a tip that moves from the first samples on, where they
     lead back to if it was still: x0 + a t^2 + b t^3, by least absolute deviations. One sample that
-    is wrong moves neither.
+    is wrong moves neither. Zero in coordinates that were not measured.
     """
-    known = recording.has_tip
-    times, tip = recording.times[known], recording.tip_positions[known]
+    times, tip = recording.track
     index = last_rest_sample(tip)
     if index is None or index + 1 >= _REST:
         return np.median(tip[: None if index is None else index + 1], axis=0), True

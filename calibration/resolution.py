@@ -37,6 +37,9 @@ _MOST_AT_ONCE, _MOST_INTERVALS, _TRIES = 3, 64, 8  # at once: halvings
 # residuals; if it leaves more than that part, the log was itself simulated no finer than that.
 _PART_OF_INTERVAL, _LEAST_SHIFT, _CLEARLY_BETTER, _CLEARLY_WORSE = 0.25, 3e-4, 0.9, 1.5
 REFITS = 3
+# Failures that finer simulations may cure; after so many in a row they will not.
+_CURABLE = (sr.RESULTS.diverged, sr.RESULTS.max_iterations, sr.RESULTS.inaccurate)
+_FAILURES = 3
 
 
 @dataclass(frozen=True)
@@ -46,12 +49,14 @@ class Finer:
     - `same`, `half` [m], (recordings, samples, 3): residuals; None where a simulation failed.
     - `motions`: with half the steps. `error`: along the rod on twice the grid, as the solver
       estimates it, in lengths of the rod.
+    - `curable`: whether what failed may succeed with finer simulations.
     """
 
     same: Float[np.ndarray, "recordings samples 3"] | None
     half: Float[np.ndarray, "recordings samples 3"] | None
     motions: Motion | None
     error: float
+    curable: bool
 
 
 @dataclass(frozen=True)
@@ -107,6 +112,7 @@ class Resolution:
             half=residuals[n:] if np.all(ok[n:]) else None,
             motions=second if np.all(ok[n:]) else None,
             error=float(np.max(motions.error)),
+            curable=bool(np.all(np.isin(np.asarray(motions.result)[~ok], _CURABLE))),
         )
 
 
@@ -116,17 +122,19 @@ def first_choice(problem: Problem, resolution: Resolution) -> Problem:
     As it is, if nothing can be simulated there: the search may find places where something can.
     """
     x, first = problem.start(), problem
-    allowed = allowed_errors(problem, resolution)
-    for _ in range(_TRIES):
-        if resolution.steps_fixed and resolution.grid_fixed:
-            return problem
+    allowed, failures = allowed_errors(problem, resolution), 0
+    both_fixed = resolution.steps_fixed and resolution.grid_fixed
+    for _ in range(0 if both_fixed else _TRIES):
         finer = resolution.finer(problem, x)
+        failures = failures + 1 if finer.half is None else 0
+        if failures > _FAILURES or not finer.curable:
+            return first
         steps, intervals = _needed(problem, finer, x, allowed, resolution)
         if steps == 1 and intervals == problem.method.intervals:
             return problem
         dts = [c.dt / steps for c in problem.clocks]
         problem = resolution.of(problem, dts, _with_intervals(problem.method, intervals))
-    return problem if finer.half is not None else first
+    return problem
 
 
 def allowed_errors(problem: Problem, resolution: Resolution) -> tuple[float, float]:
