@@ -55,7 +55,8 @@ def check_axes(point: Point, recordings: Sequence[Recording]) -> None:
             said = beginning(recording, bool(problem.batch.hanging[k]))
             raise RecordingError(
                 f"{where}: the tip begins {away(begins):.3g} m from where a rod of {length:g} m "
-                f"would, {said}; no parameter mends that: check axes, unit and decimal sign of the tip, its origin, and the scene's clamp"
+                f"would, {said}; no parameter mends that: check axes, unit and decimal sign of "
+                "the tip, its origin, and the scene's clamp"
             )
 
 

@@ -110,7 +110,8 @@ def calibrate(
       grid along the rod is found like `dt`.
 
     A recording without inputs is a release: the rod is held straight until it is let go. One
-    with inputs starts straight, or hanging in equilibrium if its first sample is elsewhere.
+    with inputs starts straight, or hanging in equilibrium, as its samples before the first
+    movement tell (`calibration.beginning`).
     Ctrl-C ends the optimisation early and keeps the best point.
 
     Recordings are simulated on all devices that JAX has, as by `softrod_jax.spread`. Several

@@ -154,8 +154,10 @@ def catalogue(scene: sr.Scene) -> tuple[dict[str, Parameter], dict[str, tuple[st
         duration = lambda setup: setup.release_duration
         make = _maker(duration, lambda: jnp.array(_RELEASE))
         found.append(Parameter("release_duration", "s", duration, make=make))
+    weighs = scene.payload is not None and scene.gravity is not None
     for name, unit, scale in (
         ("sensor_offset", "m", _ON_THE_BENCH),
+        *([("payload_offset", "m", _ON_THE_BENCH)] if weighs else ()),
         ("gravity_tilt", "rad", _ANGLE),
         ("clamp_rotation", "rad", _ANGLE),
         ("clamp_shift", "m", _ON_THE_BENCH),

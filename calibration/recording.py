@@ -35,7 +35,7 @@ class Recording:
       put in place by its rest position; only its displacement is then a measurement.
     - `notes`: what the reader had to assume.
     - `starts_hanging`: whether the rod begins in equilibrium under the first inputs, and not
-      straight; None: told by the first sample of the tip.
+      straight; None: told by the tip before it first moves (`calibration.beginning`).
     - `gaps` [s]: pairs (start, end) in which the inputs are not known, though they were moving: a
       fit uses what comes before (`calibration.clocks`).
     - `conditions`: values of parameters in which this experiment differs from the scene, by name

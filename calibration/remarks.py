@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from calibration.explain import TELLING
 from calibration.granted import scale_of_forces
 from calibration.materials import MATERIALS, SOFT
 from calibration.results import Fit
@@ -19,8 +20,6 @@ _WORSE = 1.5
 _SAME_END = 0.01
 # Residuals at a frequency are the simulation's own if they are so much larger than the motion.
 _OF_ITS_OWN = 5.0
-# A parameter that would take away this part of the residuals (rms) is worth a remark.
-_TELLING = 0.15
 
 
 def remarks(fit: Fit) -> list[str]:
@@ -202,13 +201,25 @@ def _ringing(fit):
 
 
 def _explained(fit):
+    if fit.explanations is None:
+        return
     left = np.sqrt(np.mean([r.rmse**2 for r in fit.recordings]))
-    for e in fit.explanations or ():
-        if e.rms < (1 - _TELLING) * left:
+    least = min((e.rms for e in fit.explanations), default=left)
+    if least >= (1 - TELLING) * left:
+        tried = ", ".join(e.name for e in fit.explanations) or "nothing"
+        yield (
+            f"There is no candidate for what is left: of all that was tried ({tried}) none would "
+            f"leave less than {1e3 * least:.3g} of {1e3 * left:.3g} mm rms. It is noise, or "
+            "something that no parameter of this model stands for."
+        )
+    for e in fit.explanations:
+        if e.rms < (1 - TELLING) * left:
+            reading = f" {e.reading[0].upper()}{e.reading[1:]}." if e.reading else ""
             values = ", ".join(f"{k} = {_show(v, e.units[k])}" for k, v in e.values.items())
             yield (
                 f"If {e.name} were fitted, too, about {1e3 * e.rms:.3g} mm rms would be left of "
-                f"{1e3 * left:.3g} ({values}): it, or something that looks like it, is missing."
+                f"{1e3 * left:.3g} ({values}): it, or something that looks like it, is "
+                f"missing.{reading}"
             )
 
 

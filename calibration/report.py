@@ -133,7 +133,8 @@ def as_json(fit: Fit) -> dict:
             for s in fit.starts
         ],
         "explanations": [
-            {"name": e.name, "rms_m": e.rms, "values": e.values} for e in fit.explanations or ()
+            {"name": e.name, "rms_m": e.rms, "values": e.values, "reading": e.reading}
+            for e in fit.explanations or ()
         ],
         "material": fit.material,
         "loss": fit.loss,

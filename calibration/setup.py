@@ -19,6 +19,8 @@ class Setup(eqx.Module):
     - `release_duration` [s]: how long a hand takes to let go, see `calibration.release`; of
       recordings without inputs only.
     - `sensor_offset` [m], (3,): the marker seen from the tip, in the tip's own frame.
+    - `payload_offset` [m], (3,): the payload's centre seen from the middle of the tip, in the frame
+      of the straight rod's end. Of it only the moment of the weight is simulated, constant.
     - `gravity_tilt` [rad], (3,): rotation vector that turns the scene's gravity.
     - `clamp_rotation` [rad], (3,), and `clamp_shift` [m], (3,): how the clamp's pose differs from
       the scene's, in the base frame.
@@ -28,6 +30,7 @@ class Setup(eqx.Module):
     tendon_efficiency: Float[Array, "tendons"] | None = None
     release_duration: Float[Array, ""] | None = None
     sensor_offset: Float[Array, "3"] | None = None
+    payload_offset: Float[Array, "3"] | None = None
     gravity_tilt: Float[Array, "3"] | None = None
     clamp_rotation: Float[Array, "3"] | None = None
     clamp_shift: Float[Array, "3"] | None = None
@@ -45,6 +48,13 @@ class Setup(eqx.Module):
         if self.clamp_shift is not None:
             was = scene.base_position
             changes["base_position"] = self.clamp_shift if was is None else was + self.clamp_shift
+        if self.payload_offset is not None:
+            weight = self.scene.payload.mass * changes.get("gravity", scene.gravity)
+            base = changes.get("base_quaternion", scene.base_quaternion)
+            arm = self.payload_offset if base is None else rotated(base, self.payload_offset)
+            load = sr.TipLoad() if scene.tip_load is None else scene.tip_load
+            moment = jnp.cross(arm, weight) + (0.0 if load.moment is None else load.moment)
+            changes["tip_load"] = sr.TipLoad(load.force, moment)
         for name, value in changes.items():
             scene = eqx.tree_at(
                 lambda s, name=name: getattr(s, name), scene, value, is_leaf=lambda x: x is None

@@ -298,6 +298,26 @@ def test_what_a_hand_did_is_named():
 
 
 @pytest.mark.long
+def test_a_loss_that_does_not_grow_with_frequency_is_named():
+    """Two rods that ring at different frequencies, the slow one with the larger damping; and no
+    candidate where one damping is all there is."""
+    weights = {"payload_mass": 0.0}, {"payload_mass": 0.05}
+    heavy = beam(payload=sr.Payload(jnp.array(0.05)), bending_damping=1.1e-4)
+    slow = release(heavy, seed=1, name="slow", conditions=weights[1])
+    quick = release(beam(), name="quick", conditions=weights[0])
+    found = fit([quick, slow], explain=True)
+    named = {e.name: e for e in found.explanations}
+    each = named["bending_damping of each recording"]
+    assert each.rms == pytest.approx(NOISE * np.sqrt(3), rel=0.1)
+    assert each.values["bending_damping@slow"] > 1.4 * each.values["bending_damping@quick"]
+    assert any("does not grow with frequency" in r for r in as_json(found)["remarks"])
+    heavy = beam(payload=sr.Payload(jnp.array(0.05)))
+    same = release(heavy, seed=1, name="slow", conditions=weights[1])
+    found = fit([quick, same], explain=True)
+    assert any("There is no candidate" in r for r in as_json(found)["remarks"])
+
+
+@pytest.mark.long
 def test_numerical_damping_does_not_pose_as_the_materials(recording):
     """A scheme that damps by itself: the check at half the step says so, and by how much."""
     options = dict(scheme=sr.BDFAlpha(-0.2))

@@ -109,7 +109,11 @@ def test_the_code_and_the_commands(folder):
     softrod("simulate")
     softrod("plot")
     softrod("calibrate")
-    assert (folder / "fitted" / "parameters.json").exists()
+    found = json.loads((folder / "fitted" / "parameters.json").read_text())["parameters"]
+    for name, truth in (("young_modulus", 5e4), ("bending_damping", 1e-6)):
+        (low, high), value = found[name]["ci95"], found[name]["value"]
+        assert low < truth < high and abs(value / truth - 1) < 1e-3
+        assert found[name]["identifiable"]
     softrod("doctor")
     assert not commands
     run("-c", "".join(blocks("python")))

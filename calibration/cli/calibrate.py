@@ -205,10 +205,10 @@ def run(args) -> int:
 
 def _fitted(args, scene, recordings, held_out, out: Path):
     """The fit that the command line asks for."""
-    import softrod_jax as sr
     from calibration import calibrate
+    from calibration.model import METHOD
 
-    method = None if args.intervals is None else sr.Collocation(args.intervals)
+    method = None if args.intervals is None else replace(METHOD, intervals=args.intervals)
     return calibrate(
         scene,
         recordings,
