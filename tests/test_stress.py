@@ -22,6 +22,25 @@ def test_motions_are_solved_and_right():
     assert max(row["error"] for row in rows) < stress.TOLERANCE
 
 
+# Of one structure, so that few programs are compiled. Layers at the clamp, tip forces of 80 to 700,
+# payloads of 130 and 370, moments with twist, coils of three turns; most need a finer grid.
+EQUILIBRIA = 10, 31, 38, 53, 74, 87, 90, 101, 119, 166, 174, 199
+
+
+def test_equilibria_are_right_and_their_estimates_honest():
+    rows = [stress_equilibria.one(0, k, judged=True) for k in EQUILIBRIA]
+    assert {row["structure"] for row in rows} == {"circle"}
+    assert len({row["kind"] for row in rows}) == 6
+    assert [row["scene"] for row in rows if row["judge"] == "none"] == []
+    assert max(row["judge_error"] for row in rows) < 1e-8
+    assert [row["scene"] for row in rows if not stress.is_solved(row)] == []
+    assert max(row["error"] for row in rows) < 2e-4
+    for of in ("", "grid_"):
+        assert [row["scene"] for row in rows if stress_equilibria.is_wrong(row, of)] == []
+        assert [row["scene"] for row in rows if stress_equilibria.is_flattering(row, of)] == []
+    assert max(row["intervals"] for row in rows) > 12 == min(row["intervals"] for row in rows)
+
+
 def test_a_wrong_answer_would_be_seen():
     row = {"what": "motion", "result": "successful", "refined": "successful", "error": 0.02}
     assert stress.is_wrong(row) and not stress.is_wrong({**row, "error": 0.001})
