@@ -27,6 +27,7 @@ def test_motions_are_solved_and_right():
 EQUILIBRIA = 10, 31, 38, 53, 74, 87, 90, 101, 119, 166, 174, 199
 
 
+@pytest.mark.long
 def test_equilibria_are_right_and_their_estimates_honest():
     rows = [stress_equilibria.one(0, k, judged=True) for k in EQUILIBRIA]
     assert {row["structure"] for row in rows} == {"circle"}
