@@ -62,28 +62,37 @@ class Checkpoint:
         os.replace(partial, self.path)
 
     def _read(self) -> None:
-        if self.path is None:
-            raise CheckpointError("resume: give the checkpoint file to go on from")
-        try:
-            content = json.loads(self.path.read_text(encoding="utf-8"))
-            fit, done, x, loss = (content[k] for k in ("fit", "done", "x", "loss"))
-            x, loss = None if x is None else _vector(x), float(loss)
-            for start in done:
-                _vector(start["x"]), float(start["loss"]), str(start["result"])
-        except OSError as e:
-            raise CheckpointError(
-                f"{self.path}: nothing to go on from ({e.strerror or e}); start without resuming"
-            ) from None
-        except (ValueError, KeyError, TypeError, OverflowError, RecursionError):
-            raise CheckpointError(
-                f"{self.path}: not a checkpoint of a fit; start without resuming"
-            ) from None
+        fit, done, x, loss = read_checkpoint(self.path)
         if fit != self._of:
             raise CheckpointError(
                 f"{self.path}: is of a fit with another scene, other recordings or other settings; "
                 "give those, or start without resuming"
             )
         self.done, self.x, self._loss = done, x, loss
+
+
+def read_checkpoint(path: Path | None):
+    """Which fit it is of, the ends of its searches, and where the search is: parameters and loss.
+
+    Raises `CheckpointError` where there is none, and for what is none.
+    """
+    if path is None:
+        raise CheckpointError("resume: give the checkpoint file to go on from")
+    try:
+        content = json.loads(Path(path).read_text(encoding="utf-8"))
+        fit, done, x, loss = (content[k] for k in ("fit", "done", "x", "loss"))
+        x, loss = None if x is None else _vector(x), float(loss)
+        for start in done:
+            _vector(start["x"]), float(start["loss"]), str(start["result"])
+    except OSError as e:
+        raise CheckpointError(
+            f"{path}: nothing to go on from ({e.strerror or e}); start without resuming"
+        ) from None
+    except (ValueError, KeyError, TypeError, OverflowError, RecursionError):
+        raise CheckpointError(
+            f"{path}: not a checkpoint of a fit; start without resuming"
+        ) from None
+    return fit, done, x, loss
 
 
 def _vector(numbers) -> np.ndarray:

@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import softrod_jax as sr
 from calibration import materials, optimise, robust, uncertainty
 from calibration.assemble import estimates, recording_fit, setup_with
-from calibration.checkpoint import Checkpoint
+from calibration.checkpoint import Checkpoint, read_checkpoint
 from calibration.checks import predicted
 from calibration.drift import durations
 from calibration.explain import explain as what_else
@@ -138,6 +138,8 @@ def calibrate(
             raise ValueError(f"{name}={value}: at least 1 is needed")
     if tolerance is not None and not 0 < tolerance < 1:
         raise ValueError(f"tolerance={tolerance!r}: a part of the rod's length in (0, 1) is needed")
+    if resume:
+        read_checkpoint(checkpoint)  # before anything is simulated
     drift = durations(drift)
     labels = _labels([*recordings, *held_out])
     check_conditions(scene, [*recordings, *held_out])

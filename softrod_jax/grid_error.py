@@ -29,9 +29,10 @@ _NODES, _BESIDE = 4, 2
 # Points of the polynomial through the strains that halves their spacing.
 _STRAINS = 8
 # Where intervals turn by more than this [rad] on average, they may hide whole turns from every
-# formula that knows the rod at a few points only. Coils of 3 to 60 turns: at 1.2 the estimate is
-# four fifths of the error, at 1.6 a seventh, at 3.1 it may be anything.
-_MOST_TURN = 1.2
+# formula that knows the rod at a few points only. On coils of 6 and 24 turns the estimate without
+# caution was four fifths of the error at 0.8, a seventh of it at 1.6, and anything at 6. There, the
+# errors were 2e-4 and 4e-4 at 1.6, 7e-3 and 2e-2 at 3.1.
+_MOST_TURN, _HIDDEN = 1.5, 1e-3
 
 
 class Wide(NamedTuple):
@@ -91,7 +92,7 @@ def roughness(
 def hidden_turns(bend: Float[Array, "points k"], h) -> Float[Array, ""]:
     """A lower bound for the estimate where intervals of length `h` turn too far; else zero."""
     turn = h * jnp.mean(jnp.sqrt(jnp.sum(bend**2, -1)))
-    return jnp.where(turn > _MOST_TURN, 1e-2 * (turn / _MOST_TURN) ** 6, 0.0)
+    return jnp.where(turn > _MOST_TURN, _HIDDEN * (turn / _MOST_TURN) ** 6, 0.0)
 
 
 @functools.cache

@@ -5,7 +5,7 @@ from dataclasses import replace
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from beams import RATE, RELEASE, SETTINGS, TRUTH, beam, release
+from beams import FIT, RATE, RELEASE, SETTINGS, TRUTH, beam, release
 from test_recording import write_c3d
 
 import softrod_jax as sr
@@ -14,7 +14,7 @@ from calibration import calibrate, load_recording, write_log
 
 def fitted(recording, scene=None, **options):
     start = beam(young_modulus=2e5, bending_damping=1.5e-4) if scene is None else scene
-    return calibrate(start, [recording], checks=False, progress=False, **SETTINGS, **options)
+    return calibrate(start, [recording], checks=False, progress=False, **FIT, **options)
 
 
 def check(fit, truth=TRUTH):
