@@ -1,5 +1,7 @@
 """Motion of a scene under inputs that change with time."""
 
+import functools
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -8,7 +10,7 @@ from jaxtyping import Array, Float, Int
 from softrod_jax.collocation import Collocation
 from softrod_jax.compiling import compiled
 from softrod_jax.inputs import actuation, is_traced, time_step, whole_number
-from softrod_jax.marching import Beginning, march
+from softrod_jax.marching import MOST_SUBSTEPS, Beginning, march
 from softrod_jax.method import Method
 from softrod_jax.newton import NewtonOptions
 from softrod_jax.precision import require_float64
@@ -18,7 +20,7 @@ from softrod_jax.rotations import to_base
 from softrod_jax.scene import Scene
 from softrod_jax.scene_checks import checked_scene, usable_in_time
 from softrod_jax.statics import StaticSolution
-from softrod_jax.step_control import run_within
+from softrod_jax.step_control import advice, run_checked, run_within
 from softrod_jax.time_schemes import SDIRK, TimeScheme
 
 
@@ -30,12 +32,15 @@ class Trajectory(eqx.Module):
     - `positions` [m], (steps + 1, outputs, 3); `quaternions` (w, x, y, z), (steps + 1, outputs, 4).
     - `strains` (v, u) and `velocities` (q, omega), (steps + 1, outputs, 6), body frame.
     - `result`: a code of `RESULTS`; 0 is success. `failed_step`: the first step k that has no
-      solution, or -1; from there on the rod is held where it was.
+      solution, or -1; from there on the rod is held where it was. Where steps are too long for the
+      motion (`inaccurate`, and "time_error" above its limit), the first whose error is too large;
+      the rod then moves on.
     - `stats`: per step, (steps,): "iterations" (evaluations along the rod), "residual"
       (Newton's last correction, relative to the size of the state), "error" (of the
       discretisation along the rod, estimated, in lengths of the rod; NaN: no estimate) and
       "time_error" (of the tip so far from the steps in time, estimated, in lengths of the rod),
-      "substeps"; with a `tolerance` also "intervals".
+      "substeps"; and one number, "needed_substeps" (that keep "time_error" below its limit, about);
+      outside `jit` also "intervals".
     """
 
     ts: Float[Array, "times"]
@@ -57,11 +62,12 @@ def simulate(
     pressures: Float[Array, "steps chambers"] | None = None,
     *,
     steps: int | None = None,
-    substeps: int = 1,
+    substeps: int | None = None,
     tolerance: float | None = None,
+    max_time_error: float = 1e-2,
     initial: StaticSolution | None = None,
     scheme: TimeScheme = SDIRK(),
-    method: Method = Collocation(),
+    method: Method | None = None,
     newton: NewtonOptions = NewtonOptions(),
     throw: bool = True,
 ) -> Trajectory:
@@ -72,15 +78,23 @@ def simulate(
       ts[k] to ts[k + 1]. Where an input does not jump but varies, row k is its value at
       ts[k + 1], reached linearly. `None` leaves that actuator out.
     - `steps`: how many, where there are no inputs to tell.
-    - `substeps`: equal parts into which each step is divided.
+    - `substeps`: equal parts into which each step is divided. `None`: one, and more where the
+      estimated error of the tip is above `max_time_error` and substeps can still be chosen, which
+      is outside of `jit`, `vmap` and `grad`: then so many that 1e-3 lengths are kept.
     - `tolerance`: choose the substeps, and a finer grid along the rod if need be, so that the
       estimated error of the tip stays below this many lengths of the rod. With `SDIRK` substeps
       differ in length, as the motion asks for. What was chosen is in `stats` as "substeps" and
       "intervals". Not under `jit`, `vmap` or `grad`, which need numbers beforehand: give them
       those found on a typical motion.
+    - `max_time_error`: above this estimated error of the tip from the steps in time, in lengths,
+      the code is `inaccurate`; `stats["needed_substeps"]` says what would do. The estimate is a
+      cautious one, of one to twenty times the error. Outside of `jit`, `vmap` and `grad` the
+      code is not given by it alone: a second motion, with substeps of their own, decides.
     - `initial`: start from this equilibrium (same `method`); from the unloaded rod if `None`. One
       that has not been found has no motion either: its code is that of the motion.
-    - `scheme`: `SDIRK` or `BDFAlpha`. `method`: `Collocation` or `Shooting`.
+    - `scheme`: `SDIRK` or `BDFAlpha`. `method`: `Collocation` or `Shooting`, on the grid as given.
+      `None`: that of `initial`, or `Collocation()`, refined where the estimated error along the rod
+      is above 1e-4 lengths, outside of `jit`, `vmap` and `grad`.
     - `throw`: raise `SolveError` if a step fails; else see `Trajectory.result`.
 
     Works under `jit`, `vmap`, `grad` and `jacfwd`. Raises `ValueError` for inputs of the wrong
@@ -92,22 +106,39 @@ def simulate(
     tensions, pressures = actuation("simulate", scene, tensions, pressures, ndim=2)
     steps = _count_steps(steps, tensions, pressures)
     dt = time_step("simulate", dt)
+    fixed_grid = method is not None or initial is not None
+    if method is None:
+        method = Collocation() if initial is None else initial.method
     if initial is not None and initial.method != method:
         raise ValueError(
             "simulate: `initial` was solved with another method; give both the same `method`"
         )
     begin = None if initial is None else Beginning(initial.point_strains, initial.result)
-    substeps = whole_number("simulate", "substeps", substeps)
+    fixed_steps = substeps is not None
+    substeps = whole_number("simulate", "substeps", substeps) if fixed_steps else 1
+    limit = jnp.asarray(max_time_error, dtype=float)
+    traced = is_traced(scene, dt, tensions, pressures, begin, tolerance, limit)
 
-    def run(substeps, method=method):
-        return _simulate(
-            scene, dt, tensions, pressures, begin, steps, substeps, scheme, method, newton
-        )
+    def run(substeps, method=method, limit=limit):
+        inputs = (tensions, pressures)
+        return _simulate(scene, dt, inputs, begin, steps, substeps, scheme, method, newton, limit)
 
-    if tolerance is None:
+    if tolerance is None and traced:
         trajectory = run(substeps)
+    elif tolerance is None:
+        trajectory = run_checked(
+            run,
+            make_rod(scene),
+            float(dt),
+            scheme,
+            method,
+            fixed_grid=fixed_grid,
+            fixed_steps=fixed_steps,
+            substeps=substeps,
+            limit=float(limit),
+        )
     else:
-        if is_traced(scene, dt, tensions, pressures, begin, tolerance):
+        if traced:
             raise ValueError(
                 f"simulate: tolerance={tolerance} under jit, vmap or grad; simulate a typical "
                 'motion with it first, and give as many substeps as its stats["substeps"] says'
@@ -117,7 +148,7 @@ def simulate(
                 f"simulate: tolerance={tolerance}; a part of the rod's length in (0, 1) is needed"
             )
         trajectory = run_within(
-            run,
+            functools.partial(run, limit=jnp.array(jnp.inf)),
             make_rod(scene),
             float(dt),
             scheme,
@@ -127,7 +158,8 @@ def simulate(
             tolerance=tolerance,
         )
     if throw:
-        trajectory = raise_unless_successful(trajectory.result, trajectory, "simulate")
+        hint = "" if traced else advice(trajectory, float(dt), float(limit))
+        trajectory = raise_unless_successful(trajectory.result, trajectory, "simulate", hint)
     return trajectory
 
 
@@ -152,9 +184,8 @@ def _count_steps(steps, tensions, pressures) -> int:
 
 
 @compiled
-def _simulate(scene, dt, tensions, pressures, begin, steps, substeps, scheme, method, options):
+def _simulate(scene, dt, inputs, begin, steps, substeps, scheme, method, options, limit):
     scene, dt, good = usable_in_time(scene, dt)
-    inputs = (tensions, pressures)
     strains, velocities, results, stats = march(
         scene, dt, inputs, begin, steps, substeps, scheme, method, options, good
     )
@@ -162,10 +193,15 @@ def _simulate(scene, dt, tensions, pressures, begin, steps, substeps, scheme, me
     positions, quaternions = jax.vmap(
         lambda strain: method.shape(strain, scene.length, base, h_base)
     )(strains)
-    failed = results != RESULTS.successful
-    error = _time_error(positions[:, -1], scheme, stats["substeps"])
+    error = jax.lax.cummax(stats["time_error"])
+    solved = results[-1] == RESULTS.successful
+    too_large = solved & (error > limit)
+    failed = (results != RESULTS.successful) | too_large
+    result = jnp.where(jnp.any(too_large), RESULTS.inaccurate, results[-1]).astype(jnp.int32)
+    more = jnp.maximum(error[-1] / limit, 1.0) ** (1 / scheme.order)
+    needed = jnp.ceil(jnp.max(stats["substeps"]) * jnp.minimum(more, MOST_SUBSTEPS))
     return without_derivative(
-        results[-1] != RESULTS.successful,
+        ~solved,
         Trajectory(
             ts=dt * jnp.arange(steps + 1),
             tip_positions=positions[:, -1],
@@ -174,20 +210,8 @@ def _simulate(scene, dt, tensions, pressures, begin, steps, substeps, scheme, me
             quaternions=quaternions,
             strains=jax.vmap(method.outputs)(strains),
             velocities=velocities,
-            result=results[-1],
+            result=result,
             failed_step=jnp.where(jnp.any(failed), jnp.argmax(failed), -1),
-            stats={**stats, "time_error": error / scene.length},
+            stats={**stats, "time_error": error, "needed_substeps": needed.astype(jnp.int32)},
         ),
     )
-
-
-def _time_error(tip: Float[Array, "times 3"], scheme: TimeScheme, substeps):
-    """Estimated error of the tip [m] from the steps in time, (steps,), growing.
-
-    The sum of C |dt^(p + 1) p^(p + 1)| over all steps, by differences of the tip's path. After a
-    jump, and where a step does not resolve the motion, it is too large rather than too small.
-    """
-    order = scheme.order
-    path = jnp.concatenate([jnp.broadcast_to(tip[0], (order, 3)), tip])
-    local = jnp.linalg.norm(jnp.diff(path, order + 1, axis=0) + 1e-300, axis=-1)
-    return scheme.error_constant * jnp.cumsum(local / jnp.asarray(substeps, float) ** order)

@@ -30,6 +30,7 @@ from softrod_jax.results import RESULTS
 from softrod_jax.rod import Rod, fastest_wave, full_strain, inner_strain, make_rod
 from softrod_jax.rod_ode import History, Layout, layout_of
 from softrod_jax.statics import unloaded_guess
+from softrod_jax.time_error import accumulated, grown
 from softrod_jax.time_schemes import jumps
 
 # Substeps of one step at most, and the shortest one, where errors choose them.
@@ -93,7 +94,7 @@ class Running(NamedTuple):
 
     `loads` and `history`: those of the last solve; `rate`: that of the strains there; `factors`
     of the last Jacobian, made with `c0`. `part`: the length of the next substep, in steps,
-    where errors choose it.
+    where errors choose it. `time_error`: estimated, of the tip so far, in lengths.
     """
 
     guess: Guess
@@ -107,6 +108,7 @@ class Running(NamedTuple):
     correction: Float[Array, ""]
     error: Float[Array, ""]
     part: Float[Array, ""]
+    time_error: Float[Array, ""]
 
 
 def march(scene, dt, inputs, begin, steps, substeps, scheme, method, options, good) -> March:
@@ -166,7 +168,7 @@ def make_stepping(scene, dt, actuation, begin, substeps, scheme, method, options
     rise, shortest = jnp.minimum(0.5 * crossing, 1.0), _RUN * crossing
 
     def substep(course, first, part, coefficients, state):
-        """The part [first, first + part] of a step, and the local error of the fields."""
+        """The part [first, first + part] of a step, and its local errors."""
         memory, running = state
 
         def solve(c0, history, at, running):
@@ -210,14 +212,19 @@ def make_stepping(scene, dt, actuation, begin, substeps, scheme, method, options
             )
             return Fields(fields.strain, jnp.concatenate([q, w], -1)), running
 
-        new_memory, after, error = scheme.step(memory, coefficients, solve, running)
+        new_memory, after, errors = scheme.step(memory, coefficients, solve, running)
+        fields, errors = jax.lax.stop_gradient((new_memory[0], errors))
+        time_error = accumulated(
+            running.time_error, errors, part * dt, fields.strain, rod, method
+        )
         # After a failure the rod is held where it was: its numbers stay finite.
         ok = after.result == RESULTS.successful
         hold = lambda new, old: jax.tree.map(lambda a, b: jnp.where(ok, a, b), new, old)
         memory = hold(new_memory, jax.lax.stop_gradient(memory))
-        last = ("guess", "loads", "rate", "history")
+        after = after._replace(time_error=time_error)
+        last = ("guess", "loads", "rate", "history", "time_error")
         pick = lambda running: {name: getattr(running, name) for name in last}
-        return (memory, after._replace(**hold(pick(after), pick(running)))), error
+        return (memory, after._replace(**hold(pick(after), pick(running)))), errors
 
     def equal_substeps(course, coefficients, state):
         # Inputs jump at the beginning of a step only.
@@ -243,8 +250,8 @@ def make_stepping(scene, dt, actuation, begin, substeps, scheme, method, options
             # Not a sliver at the end of the step.
             part = jnp.where(done + 1.05 * running.part >= 1.0, 1.0 - done, running.part)
             coefficients = scheme.coefficients(part * dt, jnp.zeros(1, dtype=bool))[0]
-            new, error = substep(course, done, part, coefficients, (memory, running))
-            shift = tip_shift(*error, rod.L, layout) / substeps.limit
+            new, errors = substep(course, done, part, coefficients, (memory, running))
+            shift = tip_shift(errors.lower, errors.of_integral, rod.L, layout) / substeps.limit
             tried = new[1]
             solved = tried.result == RESULTS.successful
             ok = solved & ((shift <= 1.0) | (part <= 1.01 * shortest))
@@ -293,6 +300,7 @@ def make_stepping(scene, dt, actuation, begin, substeps, scheme, method, options
             "residual": running.correction,
             "error": error,
             "substeps": jnp.asarray(count, jnp.int32),
+            "time_error": grown(running.time_error),
         }
         seen = method.outputs(memory[0].velocity)
         return state, (memory[0].strain, seen, result, stats)
@@ -314,6 +322,7 @@ def make_stepping(scene, dt, actuation, begin, substeps, scheme, method, options
             none,
             none,
             jnp.ones(()),
+            none,
         )
         return scheme.start(fields, guess), running
 

@@ -47,9 +47,11 @@ _MESSAGES = {
         "",
     ),
     RESULTS.inaccurate: (
-        "the equations along the rod are solved on a grid too coarse for them",
-        "take more intervals, or shorter steps along the rod; with a tolerance: no steps and grid "
-        "on offer keep it; take a larger one, or loads that change less suddenly",
+        "the estimated error of the tip is too large: the grid along the rod is too coarse or, in a "
+        "motion whose time_error is large, the steps in time are too long",
+        "take more intervals, or shorter steps along the rod, or in time a smaller dt or more "
+        "substeps; with a tolerance: no steps and grid on offer keep it; take a larger one, or loads "
+        "that change less suddenly",
     ),
 }
 
@@ -65,8 +67,8 @@ def result_message(code, remedy: str | None = None) -> str:
     return f"{what}; {remedy}" if remedy else what
 
 
-def raise_unless_successful(result, values, who: str):
-    """`values`, or an error if any sample of `result` failed.
+def raise_unless_successful(result, values, who: str, hint: str = ""):
+    """`values`, or an error if any sample of `result` failed; `hint`: what to do about it.
 
     Raises `SolveError` where the codes are concrete. Under `jit` the check is compiled in and
     raises when the program runs.
@@ -82,7 +84,7 @@ def raise_unless_successful(result, values, who: str):
         failed = codes[codes != 0]
         which = "" if codes.ndim == 0 else f" {failed.size} of {codes.size} samples failed;"
         raise SolveError(
-            f"{who}:{which} {result_message(failed.flat[0])}. "
+            f"{who}:{which} {result_message(failed.flat[0])}. {hint}"
             "Pass throw=False for a code per sample."
         )
     return values

@@ -1,6 +1,7 @@
 """How short steps in time, and how fine a grid along the rod, a given accuracy needs.
 
-A motion is solved twice, the second time with more care in time, and on a finer grid where the
+Where no accuracy is asked for, a motion is solved once, and again only if its own estimates say
+that it may be wrong by much. Where one is, a motion is solved twice, the second time with more care in time, and on a finer grid where the
 estimate along the rod asks for it; their difference is taken for the error. That holds for stiff,
 damped and oscillating rods alike, and sees both kinds of error at once. It fails only if both
 motions miss an oscillation that is faster than their steps, and lasts.
@@ -31,6 +32,11 @@ _GRID_SHARE = 0.25
 _LEAST_STRICTER, _MOST_STRICTER = 8.0, 64.0
 # Steps per radian of the slowest bending mode in the first try with equal steps.
 _STEPS_PER_RADIAN = 2
+# Where no tolerance is given: the lengths of the rod that are kept once steps turn out too long,
+# and the estimated error along the rod from which on a finer grid is tried.
+_KEPT, _ROUGH = 1e-3, 1e-4
+# A finer grid is of no use where it does not lower that estimate by this: fronts are rough on any.
+_SMOOTHER = 0.25
 # Failures that more care may cure.
 _CURABLE = (RESULTS.diverged, RESULTS.max_iterations, RESULTS.inaccurate)
 
@@ -77,6 +83,76 @@ def run_within(
             (jnp.array(RESULTS.inaccurate, jnp.int32), jnp.array(step)),
         )
     return _with(last, error, method)
+
+
+def run_checked(
+    run: Callable, rod: Rod, dt: float, scheme: TimeScheme, method: Method, *,
+    fixed_grid: bool, fixed_steps: bool, substeps: int, limit: float,
+):
+    """`run(substeps, method, limit)`, and again where its estimates say that it may be wrong.
+
+    On finer grids until the tip is good to `_ROUGH` lengths. Where the steps in time may be wrong
+    by more than `limit`, with substeps that errors choose; if the steps are given
+    (`fixed_steps`), the difference is their error.
+    """
+    once = lambda method: run(substeps, method, jnp.array(limit))
+    motion = once(method)
+    if not fixed_grid:
+        motion, method = _smoother(once, motion, method)
+    moving = int(motion.result) in (RESULTS.successful, RESULTS.inaccurate)
+    doubtful = motion.stats["time_error"][-1] > limit
+    if not (doubtful and moving and _is_smooth(motion, method)):
+        return _with(motion, None, method)
+    unjudged = lambda care, method: run(care, method, jnp.array(jnp.inf))
+    found = run_within(
+        unjudged, rod, dt, scheme, method, fixed_grid, substeps=substeps, tolerance=_KEPT
+    )
+    if found.result != RESULTS.successful:
+        return _with(motion, None, method)
+    if not fixed_steps:
+        return found
+    moved = np.linalg.norm(found.tip_positions - motion.tip_positions, axis=-1)[1:]
+    error = np.maximum.accumulate(moved) / float(rod.L) + found.stats["time_error"]
+    needed = jnp.max(found.stats["substeps"])
+    return _judged(_with(motion, error, method, needed_substeps=needed), limit)
+
+
+def advice(motion, dt: float, limit: float) -> str:
+    """What steps to take where those of a motion are too long; empty where they are not."""
+    error, needed = float(motion.stats["time_error"][-1]), int(motion.stats["needed_substeps"])
+    if int(motion.result) != RESULTS.inaccurate or not error > limit:
+        return ""
+    return (
+        f"Here the error in time is estimated at {error:.2g} lengths of the rod: take "
+        f"substeps={needed}, or dt={dt / needed:.2g} s. "
+    )
+
+
+def _smoother(run: Callable, motion, method: Method):
+    """The motion and the method, refined while the estimate along the rod asks for it."""
+    roughness = lambda motion: float(np.max(motion.stats["error"]))
+    curable = (RESULTS.successful, RESULTS.inaccurate)
+    while roughness(motion) > _ROUGH and int(motion.result) in curable:
+        if 2 * method.intervals > MOST_INTERVALS:
+            break
+        finer = run(method.finer())
+        if int(finer.result) not in curable:
+            break
+        coarse, motion, method = motion, finer, method.finer()
+        if coarse.result == RESULTS.successful and (
+            roughness(finer) > _SMOOTHER * roughness(coarse)
+        ):
+            break
+    return motion, method
+
+
+def _judged(motion, limit: float):
+    """The motion, solved at every step, with the code that its error in time asks for."""
+    too_large = np.asarray(motion.stats["time_error"]) > limit
+    wrong = bool(too_large[-1])
+    code = jnp.array(RESULTS.inaccurate if wrong else RESULTS.successful, jnp.int32)
+    step = jnp.array(np.argmax(too_large) if wrong else -1)
+    return eqx.tree_at(lambda t: (t.result, t.failed_step), motion, (code, step))
 
 
 def _first_care(rod, dt, scheme, substeps, tolerance):
@@ -129,8 +205,8 @@ def _is_smooth(motion, method: Method) -> bool:
     return not np.max(motion.stats["error"]) > method.max_error
 
 
-def _with(motion, error, method):
-    stats = {**motion.stats, "intervals": method.intervals}
+def _with(motion, error, method, **more):
+    stats = {**motion.stats, "intervals": method.intervals, **more}
     if error is not None:
         stats["time_error"] = error
     return eqx.tree_at(lambda t: t.stats, motion, stats)

@@ -69,11 +69,25 @@ def test_the_local_error_falls_with_the_order(order, stages):
     for dt in (0.02, 0.01):
         coefficients = scheme.coefficients(jnp.array(dt), jnp.zeros(1, bool))[0]
         (y, *_), _, errors = scheme.step(scheme.start(y0, y0), coefficients, solve, Carry(y0))
-        sizes.append([float(jnp.linalg.norm(e)) for e in errors])
+        sizes.append([float(jnp.linalg.norm(e)) for e in (errors.lower, errors.of_integral)])
         exact = jax.scipy.linalg.expm(dt * matrix) @ y0
         assert jnp.linalg.norm(y - exact) < 0.2 * sizes[-1][0]
     fall = np.log2(np.array(sizes[0]) / sizes[1])
     np.testing.assert_allclose(fall, order, atol=0.1)
+
+
+@pytest.mark.parametrize("order, stages", [(2, 2), (3, 4), (3, 6), (4, 5)])
+def test_local_errors_of_an_oscillation(order, stages):
+    """The smaller estimate is about the error, or more, whether steps resolve it or not."""
+    scheme = sr.SDIRK(order, stages)
+    A, ones, true = scheme._table(diagonal=True), np.ones(stages), 0.0
+    for x in np.geomspace(0.1, 100, 40):
+        inner = np.linalg.solve(np.eye(stages) - 1j * x * A, ones)
+        # The amplitude is lost in the end, but at single frequencies by chance is not.
+        true = max(true, min(abs(inner[-1] - np.exp(1j * x)), 1.0))
+        errors = scheme._local_errors(1.0, jnp.array(1j * x), jnp.array(1j * x * inner))
+        estimate = min(abs(complex(errors.lower)), abs(complex(errors.difference)))
+        assert 0.5 * true < estimate < 3.5 * true, (x, estimate / true)
 
 
 @pytest.mark.parametrize("order, stages", [(2, 2), (3, 4), (3, 6), (4, 5)])

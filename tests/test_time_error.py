@@ -1,0 +1,109 @@
+"""The estimated error of steps in time against motions known from an independent explicit code."""
+
+import dataclasses
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import softrod_jax as sr
+from softrod_jax.scene import as_arrays
+
+# Tips after 5, 10, 15 and 20 steps, and at the end of the other motion: from explicit finite
+# differences of a discrete Lagrangian, known to 1e-3 and 3e-3 lengths.
+SWING = np.array([
+    [0.05519885359, 0.05595336710, 0.05898359963],
+    [0.00415095441, 0.01722848690, 0.10238702259],
+    [0.05022991182, 0.02529807473, 0.08982816531],
+    [0.02302367656, 0.05592482525, 0.07350657027],
+])
+TWO_JUMPS = np.array([-0.01297, 0.01416, 0.08271])
+
+
+def swinging():
+    """A stout stiff rod under its weight and a moment: second bending modes ring on."""
+    scene = sr.Scene(
+        length=0.10361517482013251,
+        section=sr.Circle(0.010924443549341778),
+        young_modulus=13211736831.73909,
+        poisson_ratio=0.29084731657971535,
+        density=6626.355102717394,
+        bending_damping=[2.222023730252496e-05, 3.2047955452596774e-05, 3.6440863588664484e-05],
+        gravity=[351872.553284569, 191612.41532122315, 167800.16387458862],
+        drag_coefficient=[0.7491274804124288] * 3,
+        payload=sr.Payload(0.0032863563975823245),
+        tip_load=sr.TipLoad(
+            force=jnp.zeros(3), moment=[-196.72616747008578, -740.4331281225489, 829.1052365533359]
+        ),
+    )
+    return as_arrays(dataclasses.replace(scene, bending_damping=jnp.array(scene.bending_damping)))
+
+
+SWING_DT, SWING_STEPS = 1.651061604324290208e-04, 20
+
+
+def two_jumps():
+    """The paper's robot, stiffer, with a payload: one tendon lets go, and another one pulls."""
+    scene = dataclasses.replace(
+        sr.hybrid_robot(gravity=jnp.array([0.0, 0.0, 9.81])),
+        drag_coefficient=None,
+        chambers=None,
+        young_modulus=2e5,
+        payload=sr.Payload(2e-3),
+    )
+    tensions = np.zeros((40, 3))
+    tensions[:13, 0], tensions[13:, 1] = 3.0, 1.8
+    return scene, tensions
+
+
+def test_a_motion_that_rings_is_right_by_default():
+    scene = swinging()
+    motion = sr.simulate(scene, SWING_DT, steps=SWING_STEPS)
+    error = np.linalg.norm(motion.tip_positions[5::5] - SWING, axis=1) / scene.length
+    assert error.max() < 3e-3
+    assert motion.stats["time_error"][-1] < 1e-3
+    # The steps as they are asked for: what they miss is told, and what steps would not.
+    given = sr.simulate(scene, SWING_DT, steps=SWING_STEPS, substeps=1, throw=False)
+    error = np.linalg.norm(given.tip_positions[5::5] - SWING, axis=1) / scene.length
+    assert error[-1] > 0.2
+    assert given.result == sr.RESULTS.inaccurate and given.failed_step >= 0
+    assert 0.9 * error.max() < given.stats["time_error"][-1] < 2 * error.max()
+    needed = int(given.stats["needed_substeps"])
+    with pytest.raises(sr.SolveError, match=f"substeps={needed}"):
+        sr.simulate(scene, SWING_DT, steps=SWING_STEPS, substeps=1)
+
+
+def test_jumps_are_right_by_default():
+    scene, tensions = two_jumps()
+    motion = sr.simulate(scene, 0.01, tensions)
+    assert motion.result == 0
+    np.testing.assert_allclose(motion.tip_positions[-1], TWO_JUMPS, atol=4e-4)
+
+
+@pytest.mark.parametrize(
+    "scheme", [sr.SDIRK(2), sr.SDIRK(3), sr.SDIRK(3, 6), sr.SDIRK(4), sr.BDFAlpha()], ids=str
+)
+def test_under_jit_the_code_tells_steps_that_are_too_long(scheme):
+    scene, tensions = two_jumps()
+    run = jax.jit(lambda tau: sr.simulate(scene, 0.01, tau, scheme=scheme, throw=False))
+    motion = run(jnp.array(tensions))
+    error = np.linalg.norm(motion.tip_positions[-1] - TWO_JUMPS) / scene.length
+    assert error > 0.05
+    assert motion.result == sr.RESULTS.inaccurate
+    assert motion.stats["time_error"][-1] > error / 3
+    assert motion.stats["needed_substeps"] > 1
+    # The rod moves on, and so do derivatives.
+    assert np.linalg.norm(motion.tip_positions[-1] - motion.tip_positions[-2]) > 0
+    assert motion.result == run(jnp.array(tensions)).result
+
+
+def test_steps_that_are_short_enough_are_not_refused():
+    """The paper's rod falls; good to 1e-4 lengths, by a step of an eighth."""
+    scene = sr.hybrid_robot(gravity=jnp.array([-9.81, 0.0, 0.0]))
+    motion = sr.simulate(scene, 0.01, steps=40)
+    fine = sr.simulate(scene, 0.01, steps=40, substeps=8)
+    true = np.linalg.norm(motion.tip_positions - fine.tip_positions, axis=1).max() / 0.1
+    assert true < 1e-4
+    assert np.all(motion.stats["substeps"] == 1)
+    assert true < motion.stats["time_error"][-1] < 3e-3
