@@ -79,17 +79,17 @@ def simulate(
       ts[k + 1], reached linearly. `None` leaves that actuator out.
     - `steps`: how many, where there are no inputs to tell.
     - `substeps`: equal parts into which each step is divided. `None`: one, and more where the
-      estimated error of the tip is above `max_time_error` and substeps can still be chosen, which
-      is outside of `jit`, `vmap` and `grad`: then so many that 1e-3 lengths are kept.
+      tip may be off by `max_time_error` and substeps can still be chosen, which is outside of
+      `jit`, `vmap` and `grad`: then so many that 1e-3 lengths are kept.
     - `tolerance`: choose the substeps, and a finer grid along the rod if need be, so that the
       estimated error of the tip stays below this many lengths of the rod. With `SDIRK` substeps
       differ in length, as the motion asks for. What was chosen is in `stats` as "substeps" and
       "intervals". Not under `jit`, `vmap` or `grad`, which need numbers beforehand: give them
       those found on a typical motion.
     - `max_time_error`: above this estimated error of the tip from the steps in time, in lengths,
-      the code is `inaccurate`; `stats["needed_substeps"]` says what would do. The estimate is a
-      cautious one, of one to twenty times the error. Outside of `jit`, `vmap` and `grad` the
-      code is not given by it alone: a second motion, with substeps of their own, decides.
+      the code is `inaccurate`; `stats["needed_substeps"]` says what would do. The estimate of one
+      motion is 0.4 to 20 times its error. Outside of `jit`, `vmap` and `grad`, from 0.4 of the
+      limit on, a second motion is made with substeps that errors choose, and decides.
     - `initial`: start from this equilibrium (same `method`); from the unloaded rod if `None`. One
       that has not been found has no motion either: its code is that of the motion.
     - `scheme`: `SDIRK` or `BDFAlpha`. `method`: `Collocation` or `Shooting`, on the grid as given.

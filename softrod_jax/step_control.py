@@ -1,8 +1,9 @@
 """How short steps in time, and how fine a grid along the rod, a given accuracy needs.
 
 Where no accuracy is asked for, a motion is solved once, and again only if its own estimates say
-that it may be wrong by much. Where one is, a motion is solved twice, the second time with more care in time, and on a finer grid where the
-estimate along the rod asks for it; their difference is taken for the error. That holds for stiff,
+that it may be wrong by much. Where one is, a motion is solved twice, the second time with more
+care in time, and on a finer grid where the estimate along the rod asks for it; their difference is
+taken for the error. That holds for stiff,
 damped and oscillating rods alike, and sees both kinds of error at once. It fails only if both
 motions miss an oscillation that is faster than their steps, and lasts.
 """
@@ -35,6 +36,8 @@ _STEPS_PER_RADIAN = 2
 # Where no tolerance is given: the lengths of the rod that are kept once steps turn out too long,
 # and the estimated error along the rod from which on a finer grid is tried.
 _KEPT, _ROUGH = 1e-3, 1e-4
+# The estimate of one motion may be too small by this factor: from there on a second one is made.
+_DOUBTFUL = 0.4
 # A finer grid is of no use where it does not lower that estimate by this: fronts are rough on any.
 _SMOOTHER = 0.25
 # Failures that more care may cure.
@@ -92,7 +95,7 @@ def run_checked(
     """`run(substeps, method, limit)`, and again where its estimates say that it may be wrong.
 
     On finer grids until the tip is good to `_ROUGH` lengths. Where the steps in time may be wrong
-    by more than `limit`, with substeps that errors choose; if the steps are given
+    by more than `limit` lengths, with substeps that errors choose; if the steps are given
     (`fixed_steps`), the difference is their error.
     """
     once = lambda method: run(substeps, method, jnp.array(limit))
@@ -100,7 +103,7 @@ def run_checked(
     if not fixed_grid:
         motion, method = _smoother(once, motion, method)
     moving = int(motion.result) in (RESULTS.successful, RESULTS.inaccurate)
-    doubtful = motion.stats["time_error"][-1] > limit
+    doubtful = motion.stats["time_error"][-1] > _DOUBTFUL * limit
     if not (doubtful and moving and _is_smooth(motion, method)):
         return _with(motion, None, method)
     unjudged = lambda care, method: run(care, method, jnp.array(jnp.inf))
@@ -108,7 +111,9 @@ def run_checked(
         unjudged, rod, dt, scheme, method, fixed_grid, substeps=substeps, tolerance=_KEPT
     )
     if found.result != RESULTS.successful:
-        return _with(motion, None, method)
+        # Nothing confirms the estimate: it may be too small.
+        error = np.asarray(motion.stats["time_error"]) / _DOUBTFUL
+        return _judged(_with(motion, error, method), limit)
     if not fixed_steps:
         return found
     moved = np.linalg.norm(found.tip_positions - motion.tip_positions, axis=-1)[1:]
