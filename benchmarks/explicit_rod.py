@@ -39,7 +39,8 @@ class Rods(NamedTuple):
 
 
 def cross(a, b):
-    return np.stack([a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]])
+    (ax, ay, az), (bx, by, bz) = a, b
+    return np.stack([ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx])
 
 
 def rotate(q, a):
@@ -130,9 +131,14 @@ class ExplicitRods:
         inverse = np.concatenate([before[:1], -before[1:]])
         turn = logarithm(product(inverse, q))
         u = turn / self.reach
-        middle = np.concatenate([
-            2 / 3 * u[..., :1] + 1 / 3 * u[..., 1:2], 0.5 * (u[..., 1:-1] + u[..., 2:]), u[..., -1:]
-        ], -1)
+        middle = np.concatenate(
+            [
+                2 / 3 * u[..., :1] + 1 / 3 * u[..., 1:2],
+                0.5 * (u[..., 1:-1] + u[..., 2:]),
+                u[..., -1:],
+            ],
+            -1,
+        )
         N = self.K_se * v
         N[2] -= self.K_se[2]
         G = np.zeros_like(N)
@@ -177,7 +183,7 @@ class ExplicitRods:
         F[..., -1] += self.force
         tip = self.q[..., -1:]
         T[..., -1] += rotate_back(tip, self.moment[..., None])[..., 0]
-        T -= cross(self.W, self.J * self.W) 
+        T -= cross(self.W, self.J * self.W)
         self.V[..., 1:] += part * self.dt * (F / self.mass)[..., 1:]
         turned = np.matmul(self.J_inverse, T[..., None])[..., 0]
         self.W += part * self.dt * turned
@@ -198,9 +204,9 @@ def motion(rods: Rods, dt, tensions, pressures, n: int):
     tips = [model.x[..., -1].T.copy()]
     for k in range(steps):
         for j in range(fine):
-            at = j / fine
-            here = lambda x: (1 - at) * x[:, k, 0] + at * x[:, k, 1]
-            part = 0.5 if k == j == 0 else 1.0
-            model.advance(here(tensions), here(pressures)[:, 0], part)
+            taut, pressure = (
+                x[:, k, 0] + j / fine * (x[:, k, 1] - x[:, k, 0]) for x in (tensions, pressures)
+            )
+            model.advance(taut, pressure[:, 0], 0.5 if k == j == 0 else 1.0)
         tips.append(model.x[..., -1].T.copy())
     return np.stack(tips, 1)

@@ -29,6 +29,8 @@ from softrod_jax.time_schemes import jumps
 STEPS = 40
 KINDS = ("jump", "ramp", "saw", "pulse", "release", "two jumps")
 GRIDS = 16, 32
+# The judge's doubt from which on it is no judge, the least error looked at, and what is wrong.
+SURE, LEAST, WRONG = 3e-3, 1e-5, 1e-2
 # Motions of about equal cost that the judge solves side by side.
 BESIDE = 30
 
@@ -98,24 +100,26 @@ def as_rods(scenes) -> Rods:
     """What the judge knows of them."""
     rows = []
     for s in scenes:
-        area, (Ix, Iy), E = float(s.section.area), np.array(s.section.second_moments), s.young_modulus
-        G = float(s.shear_modulus)
-        rows.append(Rods(
-            L=float(s.length),
-            K_se=np.array([G * area, G * area, E * area]),
-            K_bt=np.array([E * Ix, E * Iy, G * (Ix + Iy)]),
-            B_bt=np.array(s.bending_damping),
-            rho_A=float(s.density) * area,
-            rho_J=float(s.density) * np.array([Ix, Iy, Ix + Iy]),
-            drag=np.array(s.drag_coefficient),
-            gravity=np.array(s.gravity),
-            payload=float(s.payload.mass),
-            force=np.array(s.tip_load.force),
-            moment=np.array(s.tip_load.moment),
-            offsets=np.array(s.tendons.offsets),
-            thrust_area=0.0,
-            thrust_arm=np.zeros(2),
-        ))
+        area, (Ix, Iy) = float(s.section.area), np.array(s.section.second_moments)
+        E, G = float(s.young_modulus), float(s.shear_modulus)
+        rows.append(
+            Rods(
+                L=float(s.length),
+                K_se=np.array([G * area, G * area, E * area]),
+                K_bt=np.array([E * Ix, E * Iy, G * (Ix + Iy)]),
+                B_bt=np.array(s.bending_damping),
+                rho_A=float(s.density) * area,
+                rho_J=float(s.density) * np.array([Ix, Iy, Ix + Iy]),
+                drag=np.array(s.drag_coefficient),
+                gravity=np.array(s.gravity),
+                payload=float(s.payload.mass),
+                force=np.array(s.tip_load.force),
+                moment=np.array(s.tip_load.moment),
+                offsets=np.array(s.tendons.offsets),
+                thrust_area=0.0,
+                thrust_arm=np.zeros(2),
+            )
+        )
     return Rods(*(np.stack(column) for column in zip(*rows)))
 
 
@@ -153,6 +157,65 @@ def judged(cases, file: Path | None):
     return tips, known
 
 
+def tried(case, tips, known):
+    """One row: what `simulate` says of a motion, and what the judge says of that."""
+    scene, pulls, dt, kind = case
+    length = float(scene.length)
+    row = {"kind": kind, "known": float(np.max(known))}
+    plain = jax.jit(lambda tau: sr.simulate(scene, dt, tau, throw=False))
+    for name, run in (
+        ("jit", plain),
+        ("given", lambda tau: sr.simulate(scene, dt, tau, substeps=1, throw=False)),
+        ("default", lambda tau: sr.simulate(scene, dt, tau, throw=False)),
+    ):
+        begin = time.perf_counter()
+        found = run(pulls)
+        row[name] = {
+            "result": sr.RESULTS(int(found.result)).name,
+            "true": float(np.max(np.linalg.norm(found.tip_positions - tips, axis=1))) / length,
+            "estimate": float(found.stats["time_error"][-1]),
+            "along": float(np.max(found.stats["error"])),
+            "substeps": int(np.max(found.stats["substeps"])),
+            "time": time.perf_counter() - begin,
+        }
+    return row
+
+
+def summary(rows) -> str:
+    """Estimate against error of the steps as given, and what is called successful."""
+    lines = []
+    for name, title in (("jit", "under `jit`"), ("given", "`substeps=1`"), ("default", "default")):
+        judged = [row for row in rows if row["known"] < SURE]
+        here = [row[name] | {"known": row["known"]} for row in judged]
+        seen = [r for r in here if r["true"] > max(LEAST, 3 * r["known"])]
+        ratio = np.array([(r["estimate"] + r["along"]) / (r["true"] - r["known"]) for r in seen])
+        off = [r for r in here if r["true"] - r["known"] > WRONG]
+        good = [r for r in here if r["true"] < 1e-3]
+        lines.append(
+            [
+                title,
+                str(len(here)),
+                " / ".join(f"{q:.2g}" for q in np.quantile(ratio, [0.0, 0.05, 0.5, 0.95])),
+                str(int(np.sum(ratio < 1 / 3))),
+                str(len(off)),
+                str(sum(r["result"] == "successful" for r in off)),
+                str(sum(r["result"] == "inaccurate" for r in good)),
+                f"{np.median([r['time'] for r in here]):.2g}",
+            ]
+        )
+    header = [
+        "",
+        "judged",
+        "estimate / error: least, 5 %, median, 95 %",
+        "below 1/3",
+        "off by over 1 %",
+        "of them successful",
+        "good to 1e-3, and inaccurate",
+        "median time [s]",
+    ]
+    return table(header, lines)
+
+
 def main():
     parser = argparse.ArgumentParser()
     parser.add_argument("--motions", type=int, default=120)
@@ -162,6 +225,15 @@ def main():
     options = parser.parse_args()
     cases = [random_motion(options.seed, k) for k in range(options.motions)]
     tips, known = judged(cases, options.tips)
+    rows = []
+    if options.rows and options.rows.exists():
+        rows = [json.loads(line) for line in options.rows.read_text().splitlines()]
+    for k in range(len(rows), len(cases)):
+        rows.append({"motion": k} | tried(cases[k], tips[k], known[k]))
+        if options.rows:
+            with options.rows.open("a") as file:
+                file.write(json.dumps(rows[-1]) + "\n")
+    print(summary(rows))
 
 
 if __name__ == "__main__":

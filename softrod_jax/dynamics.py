@@ -9,6 +9,7 @@ from jaxtyping import Array, Float, Int
 
 from softrod_jax.collocation import Collocation
 from softrod_jax.compiling import compiled
+from softrod_jax.grid_control import first_grid
 from softrod_jax.inputs import actuation, is_traced, time_step, whole_number
 from softrod_jax.marching import MOST_SUBSTEPS, Beginning, march
 from softrod_jax.method import Method
@@ -79,8 +80,8 @@ def simulate(
       ts[k + 1], reached linearly. `None` leaves that actuator out.
     - `steps`: how many, where there are no inputs to tell.
     - `substeps`: equal parts into which each step is divided. `None`: one, and more where the
-      tip may be off by `max_time_error` and substeps can still be chosen, which is outside of
-      `jit`, `vmap` and `grad`: then so many that 1e-3 lengths are kept.
+      tip is off by more than `max_time_error` and substeps can still be chosen, which is outside
+      of `jit`, `vmap` and `grad`: then so many that 2e-3 lengths are kept.
     - `tolerance`: choose the substeps, and a finer grid along the rod if need be, so that the
       estimated error of the tip stays below this many lengths of the rod. With `SDIRK` substeps
       differ in length, as the motion asks for. What was chosen is in `stats` as "substeps" and
@@ -89,7 +90,7 @@ def simulate(
     - `max_time_error`: above this estimated error of the tip from the steps in time, in lengths,
       the code is `inaccurate`; `stats["needed_substeps"]` says what would do. The estimate of one
       motion is 0.4 to 20 times its error. Outside of `jit`, `vmap` and `grad`, from 0.4 of the
-      limit on, a second motion is made with substeps that errors choose, and decides.
+      limit on, a second motion with more care decides.
     - `initial`: start from this equilibrium (same `method`); from the unloaded rod if `None`. One
       that has not been found has no motion either: its code is that of the motion.
     - `scheme`: `SDIRK` or `BDFAlpha`. `method`: `Collocation` or `Shooting`, on the grid as given.
@@ -108,7 +109,9 @@ def simulate(
     dt = time_step("simulate", dt)
     fixed_grid = method is not None or initial is not None
     if method is None:
-        method = Collocation() if initial is None else initial.method
+        known = not is_traced(scene.rest_curvature, scene.length)
+        method = first_grid(Collocation(), scene) if known else Collocation()
+        method = method if initial is None else initial.method
     if initial is not None and initial.method != method:
         raise ValueError(
             "simulate: `initial` was solved with another method; give both the same `method`"
@@ -194,10 +197,12 @@ def _simulate(scene, dt, inputs, begin, steps, substeps, scheme, method, options
         lambda strain: method.shape(strain, scene.length, base, h_base)
     )(strains)
     error = jax.lax.cummax(stats["time_error"])
-    solved = results[-1] == RESULTS.successful
-    too_large = solved & (error > limit)
-    failed = (results != RESULTS.successful) | too_large
-    result = jnp.where(jnp.any(too_large), RESULTS.inaccurate, results[-1]).astype(jnp.int32)
+    # A step that has no solution is the last one. Others may be inaccurate by themselves.
+    solved = (results[-1] == RESULTS.successful) | (results[-1] == RESULTS.inaccurate)
+    bad_step = (results != RESULTS.successful) | (error > limit)
+    failed = jnp.where(solved, bad_step, results == results[-1])
+    inaccurate = solved & jnp.any(failed)
+    result = jnp.where(inaccurate, RESULTS.inaccurate, results[-1]).astype(jnp.int32)
     more = jnp.maximum(error[-1] / limit, 1.0) ** (1 / scheme.order)
     needed = jnp.ceil(jnp.max(stats["substeps"]) * jnp.minimum(more, MOST_SUBSTEPS))
     return without_derivative(

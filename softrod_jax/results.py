@@ -47,11 +47,11 @@ _MESSAGES = {
         "",
     ),
     RESULTS.inaccurate: (
-        "the estimated error of the tip is too large: the grid along the rod is too coarse or, in a "
-        "motion whose time_error is large, the steps in time are too long",
+        "the estimated error of the tip is too large: the grid along the rod is too coarse or, in "
+        "a motion whose time_error is large, the steps in time are too long",
         "take more intervals, or shorter steps along the rod, or in time a smaller dt or more "
-        "substeps; with a tolerance: no steps and grid on offer keep it; take a larger one, or loads "
-        "that change less suddenly",
+        "substeps; with a tolerance: no steps and grid on offer keep it; take a larger one, or "
+        "loads that change less suddenly",
     ),
 }
 

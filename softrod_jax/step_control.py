@@ -16,7 +16,6 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 
-from softrod_jax.grid_control import MOST_INTERVALS
 from softrod_jax.marching import MOST_SUBSTEPS, LocalError
 from softrod_jax.method import Method
 from softrod_jax.results import RESULTS
@@ -35,25 +34,35 @@ _LEAST_STRICTER, _MOST_STRICTER = 8.0, 64.0
 _STEPS_PER_RADIAN = 2
 # Where no tolerance is given: the lengths of the rod that are kept once steps turn out too long,
 # and the estimated error along the rod from which on a finer grid is tried.
-_KEPT, _ROUGH = 1e-3, 1e-4
-# The estimate of one motion may be too small by this factor: from there on a second one is made.
-_DOUBTFUL = 0.4
+_KEPT, _ROUGH = 2e-3, 1e-4
+# The estimate of one motion may be too small by this factor. From there up to the limit, this many
+# times as many substeps must not move the tip by more than this part of the limit.
+_DOUBTFUL, _TIMES, _CONFIRMS = 0.4, 4, 0.3
 # A finer grid is of no use where it does not lower that estimate by this: fronts are rough on any.
 _SMOOTHER = 0.25
+# Where the search for a grid of a motion ends.
+_MOST_INTERVALS = 96
 # Failures that more care may cure.
 _CURABLE = (RESULTS.diverged, RESULTS.max_iterations, RESULTS.inaccurate)
 
 
 def run_within(
-    run: Callable, rod: Rod, dt: float, scheme: TimeScheme, method: Method, fixed_grid: bool, *,
-    substeps: int, tolerance: float,
+    run: Callable,
+    rod: Rod,
+    dt: float,
+    scheme: TimeScheme,
+    method: Method,
+    fixed_grid: bool,
+    *,
+    substeps: int,
+    tolerance: float,
 ):
     """`run(substeps, method)` with as much care as an error of `tolerance` lengths takes.
 
     Returns the trajectory with its errors in `stats`, in lengths of the rod, and with the code
     `inaccurate` where no care that is offered is enough.
     """
-    length, care = float(rod.L), _first_care(rod, dt, scheme, substeps, tolerance)
+    care = _first_care(rod, dt, scheme, substeps, tolerance)
     last, excess, error = run(care, method), 1.0, None
     good, good_method = (last if last.result == RESULTS.successful else None), method
     for attempt in itertools.count():
@@ -70,8 +79,7 @@ def run_within(
                 break  # twice the same answer: there is none
             continue
         if good is not None:
-            moved = np.linalg.norm(last.tip_positions - good.tip_positions, axis=-1)[1:]
-            error = np.maximum.accumulate(moved) / length
+            error = _apart(last, good, rod)
             excess = error[-1] / tolerance
             # A front is rough on any grid, and then only another grid can tell.
             if excess <= 1 and (method != good_method or _is_smooth(last, method)):
@@ -89,37 +97,64 @@ def run_within(
 
 
 def run_checked(
-    run: Callable, rod: Rod, dt: float, scheme: TimeScheme, method: Method, *,
-    fixed_grid: bool, fixed_steps: bool, substeps: int, limit: float,
+    run: Callable,
+    rod: Rod,
+    dt: float,
+    scheme: TimeScheme,
+    method: Method,
+    *,
+    fixed_grid: bool,
+    fixed_steps: bool,
+    substeps: int,
+    limit: float,
 ):
     """`run(substeps, method, limit)`, and again where its estimates say that it may be wrong.
 
     On finer grids until the tip is good to `_ROUGH` lengths. Where the steps in time may be wrong
-    by more than `limit` lengths, with substeps that errors choose; if the steps are given
-    (`fixed_steps`), the difference is their error.
+    by more than `limit` lengths, other motions tell their error; where it is larger and the
+    steps are not given (`fixed_steps`), the motion is that with substeps that errors choose.
     """
     once = lambda method: run(substeps, method, jnp.array(limit))
+    unjudged = lambda care, method: run(care, method, jnp.array(jnp.inf))
     motion = once(method)
     if not fixed_grid:
         motion, method = _smoother(once, motion, method)
+    estimate = float(motion.stats["time_error"][-1])
     moving = int(motion.result) in (RESULTS.successful, RESULTS.inaccurate)
-    doubtful = motion.stats["time_error"][-1] > _DOUBTFUL * limit
-    if not (doubtful and moving and _is_smooth(motion, method)):
+    if not (estimate > _DOUBTFUL * limit and moving and _is_smooth(motion, method)):
         return _with(motion, None, method)
-    unjudged = lambda care, method: run(care, method, jnp.array(jnp.inf))
+    if estimate <= limit:
+        other = unjudged(jnp.array(_TIMES * substeps), method)
+        if other.result == RESULTS.successful and (
+            _apart(motion, other, rod)[-1] <= _CONFIRMS * limit
+        ):
+            return _with(motion, None, method)
+    judged = lambda error, **more: _judged(_with(motion, error, method, **more), limit)
+    care = _first_care(rod, dt, scheme, _TIMES * substeps, _KEPT)
+    fine = unjudged(care, method)
+    if fine.result == RESULTS.successful:
+        # Substeps that errors choose keep the limit that they are given.
+        left = np.asarray(fine.stats["time_error"])
+        left = np.minimum(left, _KEPT) if isinstance(care, LocalError) else left
+        error = _apart(motion, fine, rod) + left
+        if error[-1] <= limit:
+            return judged(error)
     found = run_within(
         unjudged, rod, dt, scheme, method, fixed_grid, substeps=substeps, tolerance=_KEPT
     )
-    if found.result != RESULTS.successful:
+    if not found.stats["time_error"][-1] <= limit:
         # Nothing confirms the estimate: it may be too small.
-        error = np.asarray(motion.stats["time_error"]) / _DOUBTFUL
-        return _judged(_with(motion, error, method), limit)
+        return judged(np.asarray(motion.stats["time_error"]) / _DOUBTFUL)
     if not fixed_steps:
-        return found
-    moved = np.linalg.norm(found.tip_positions - motion.tip_positions, axis=-1)[1:]
-    error = np.maximum.accumulate(moved) / float(rod.L) + found.stats["time_error"]
-    needed = jnp.max(found.stats["substeps"])
-    return _judged(_with(motion, error, method, needed_substeps=needed), limit)
+        return _judged(found, limit)
+    error = _apart(motion, found, rod) + found.stats["time_error"]
+    return judged(error, needed_substeps=jnp.max(found.stats["substeps"]))
+
+
+def _apart(motion, other, rod: Rod):
+    """How far the tips of two motions have been apart, (steps,), in lengths."""
+    moved = np.linalg.norm(motion.tip_positions - other.tip_positions, axis=-1)[1:]
+    return np.maximum.accumulate(moved) / float(rod.L)
 
 
 def advice(motion, dt: float, limit: float) -> str:
@@ -138,7 +173,7 @@ def _smoother(run: Callable, motion, method: Method):
     roughness = lambda motion: float(np.max(motion.stats["error"]))
     curable = (RESULTS.successful, RESULTS.inaccurate)
     while roughness(motion) > _ROUGH and int(motion.result) in curable:
-        if 2 * method.intervals > MOST_INTERVALS:
+        if 2 * method.intervals > _MOST_INTERVALS:
             break
         finer = run(method.finer())
         if int(finer.result) not in curable:
@@ -199,7 +234,7 @@ def _first_substeps(rod: Rod, dt: float, tolerance: float) -> int:
 
 
 def _needs_finer_grid(motion, method: Method, tolerance: float) -> bool:
-    if 2 * method.intervals > MOST_INTERVALS:
+    if 2 * method.intervals > _MOST_INTERVALS:
         return False
     # One that is not a number is above no limit.
     rough = np.max(motion.stats["error"]) > _GRID_SHARE * tolerance

@@ -20,7 +20,7 @@ from softrod_jax.time_schemes import LocalErrors
 # errors were large (motions of `benchmarks/judge_motion.py`, judged by an independent code).
 _DOUBLES = 0.1
 # Of the slowest decay of a bending mode, the part that is believed.
-_BELIEVED = 0.5
+_BELIEVED = 0.7
 # The part of a rod's mass that counts at the tip in the first mode of a cantilever.
 EFFECTIVE_MASS = 0.2427
 

@@ -12,12 +12,14 @@ from softrod_jax.scene import as_arrays
 
 # Tips after 5, 10, 15 and 20 steps, and at the end of the other motion: from explicit finite
 # differences of a discrete Lagrangian, known to 1e-3 and 3e-3 lengths.
-SWING = np.array([
-    [0.05519885359, 0.05595336710, 0.05898359963],
-    [0.00415095441, 0.01722848690, 0.10238702259],
-    [0.05022991182, 0.02529807473, 0.08982816531],
-    [0.02302367656, 0.05592482525, 0.07350657027],
-])
+SWING = np.array(
+    [
+        [0.05519885359, 0.05595336710, 0.05898359963],
+        [0.00415095441, 0.01722848690, 0.10238702259],
+        [0.05022991182, 0.02529807473, 0.08982816531],
+        [0.02302367656, 0.05592482525, 0.07350657027],
+    ]
+)
 TWO_JUMPS = np.array([-0.01297, 0.01416, 0.08271])
 
 
@@ -66,7 +68,7 @@ def test_a_motion_that_rings_is_right_by_default():
     # The steps as they are asked for: what they miss is told, and what steps would not.
     given = sr.simulate(scene, SWING_DT, steps=SWING_STEPS, substeps=1, throw=False)
     error = np.linalg.norm(given.tip_positions[5::5] - SWING, axis=1) / scene.length
-    assert error[-1] > 0.2
+    assert error.max() > 0.1
     assert given.result == sr.RESULTS.inaccurate and given.failed_step >= 0
     assert 0.9 * error.max() < given.stats["time_error"][-1] < 2 * error.max()
     needed = int(given.stats["needed_substeps"])
