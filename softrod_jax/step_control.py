@@ -58,20 +58,38 @@ def run_within(
     *,
     substeps: int,
     tolerance: float,
-    tries: int | None = None,
 ):
     """`run(substeps, method)` with as much care as an error of `tolerance` lengths takes.
-
-    `tries`: how often at most; `None`: as long as there is more care to take.
 
     Returns the trajectory with its errors in `stats`, in lengths of the rod, and with the code
     `inaccurate` where no care that is offered is enough.
     """
     care = _first_care(rod, dt, scheme, substeps, tolerance)
-    last, excess, error = run(care, method), 1.0, None
+    last, error, method, agrees = _with_more_care(
+        run, rod, run(care, method), care, method, fixed_grid, tolerance
+    )
+    if last.result == RESULTS.successful and not agrees:
+        # Solved, but never twice the same.
+        step = 0 if error is None else np.argmax(error > min(tolerance, error[-1]))
+        last = eqx.tree_at(
+            lambda t: (t.result, t.failed_step),
+            last,
+            (jnp.array(RESULTS.inaccurate, jnp.int32), jnp.array(step)),
+        )
+    return _with(last, error, method)
+
+
+def _with_more_care(run, rod, first, care, method, fixed_grid, tolerance, enough=None, tries=None):
+    """The last motion, its difference to the one before, its method, and whether they agree.
+
+    `first`: the motion with the `care` and `method` that are given. There are `tries` at most, and else as many as there is more care to take. To agree is to differ
+    by `enough` at most, by `tolerance` where that is `None`.
+    """
+    enough = tolerance if enough is None else enough
+    last, excess, error = first, 1.0, None
     good, good_method = (last if last.result == RESULTS.successful else None), method
-    for attempt in itertools.count():
-        if attempt > 0 and (_is_last(care, tolerance) or attempt + 1 == tries):
+    for attempt in itertools.count(1):
+        if attempt > 1 and (_is_last(care, tolerance) or attempt == tries):
             break
         before = method
         if not fixed_grid and _needs_finer_grid(last, method, tolerance):
@@ -87,18 +105,10 @@ def run_within(
             error = _apart(last, good, rod)
             excess = error[-1] / tolerance
             # A front is rough on any grid, and then only another grid can tell.
-            if excess <= 1 and (method != good_method or _is_smooth(last, method)):
-                return _with(last, error, method)
+            if error[-1] <= enough and (method != good_method or _is_smooth(last, method)):
+                return last, error, method, True
         good, good_method = last, method
-    if last.result == RESULTS.successful:
-        # Solved, but never twice the same.
-        step = 0 if error is None else np.argmax(error > min(tolerance, error[-1]))
-        last = eqx.tree_at(
-            lambda t: (t.result, t.failed_step),
-            last,
-            (jnp.array(RESULTS.inaccurate, jnp.int32), jnp.array(step)),
-        )
-    return _with(last, error, method)
+    return last, error, method, False
 
 
 def run_checked(
@@ -144,24 +154,16 @@ def run_checked(
         error = _apart(motion, fine, rod) + left
         if error[-1] <= limit:
             return judged(error)
-    found = run_within(
-        unjudged,
-        rod,
-        dt,
-        scheme,
-        method,
-        fixed_grid,
-        substeps=substeps,
-        tolerance=_KEPT,
-        tries=_TRIES,
+    found, error, method_found, agrees = _with_more_care(
+        unjudged, rod, fine, care, method, fixed_grid, _KEPT, enough=_CONFIRMS * limit, tries=_TRIES
     )
-    if not found.stats["time_error"][-1] <= _CONFIRMS * limit:
+    if not agrees:
         # Nothing confirms the estimate: it may be too small.
         return judged(np.asarray(motion.stats["time_error"]) / _DOUBTFUL)
     if not fixed_steps:
-        return _judged(found, limit)
-    error = _apart(motion, found, rod) + found.stats["time_error"]
-    return judged(error, needed_substeps=jnp.max(found.stats["substeps"]))
+        return _with(found, error, method_found)
+    needed = jnp.max(found.stats["substeps"])
+    return judged(_apart(motion, found, rod) + error, needed_substeps=needed)
 
 
 def _apart(motion, other, rod: Rod):
