@@ -125,10 +125,13 @@ def _motion(load, step, duration, smallest, **options):
     wanted, steps = round(duration / dt), round(1e3 * duration / smallest)
     scene, tensions = load(dt * np.arange(1, steps + 1))
     tensionless = steps if tensions is None else None
+    as_given = dict(substeps=1, max_time_error=np.inf)
 
     def run():
         return jax.block_until_ready(
-            sr.simulate(scene, dt, tensions, steps=tensionless, throw=False, **options)
+            sr.simulate(
+                scene, dt, tensions, steps=tensionless, throw=False, **as_given, **options
+            )
         )
 
     warm = (tensions is None, steps, *options.values())

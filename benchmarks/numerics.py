@@ -112,7 +112,8 @@ def gravity_step(dt, **options):
 
     Every dt takes as many steps, so that there is one program; what is too much is cut off.
     """
-    motion = sr.simulate(across(), dt, steps=round(DURATION / FINEST), **options)
+    count, as_given = round(DURATION / FINEST), dict(substeps=1, max_time_error=np.inf)
+    motion = sr.simulate(across(), dt, steps=count, **as_given, **options)
     steps = round(DURATION / dt)
     stats = {name: np.asarray(x)[:steps] for name, x in motion.stats.items()}
     return np.asarray(motion.tip_positions)[: steps + 1], stats
@@ -193,7 +194,7 @@ def reuse() -> str:
             for dt in (10e-3, 2.5e-3):
                 count[0] = 0
                 steps = round(DURATION / FINEST)  # all of them count, also those cut off
-                stats = sr.simulate(across(), dt, steps=steps).stats
+                stats = sr.simulate(across(), dt, steps=steps, substeps=1).stats
                 evaluations = float(np.mean(stats["iterations"]))
                 row += [f"{evaluations:.1f}", f"{count[0] / steps:.1f}"]
             rows.append(row)
@@ -244,7 +245,10 @@ JUMPS, JUMP_STEPS = np.linspace(0.05, 2.0, 40), (15e-3, 5e-3, 1e-3, 2e-4)
 def jump(dt, pull):
     """The code of ten steps in which a tension jumps at once to `pull`."""
     tensions = jnp.zeros((10, 3)).at[:, 0].set(pull)
-    return sr.simulate(sr.hybrid_robot(), dt, tensions, throw=False).result
+    motion = sr.simulate(
+        sr.hybrid_robot(), dt, tensions, max_time_error=jnp.inf, throw=False
+    )
+    return motion.result
 
 
 # --- errors along the rod ------------------------------------------------------------------------

@@ -193,7 +193,8 @@ def motions(E, pressures, dt, scheme, method):
 
     def move(pressure):
         air = pressure * jnp.asarray(part)[:, None]
-        return sr.simulate(robot, dt, jnp.asarray(tensions), air, scheme=scheme, method=method)
+        options = dict(scheme=scheme, method=method, max_time_error=jnp.inf)
+        return sr.simulate(robot, dt, jnp.asarray(tensions), air, **options)
 
     trajectories = jax.vmap(move)(jnp.asarray(pressures))
     return np.asarray(trajectories.ts[0]), np.asarray(trajectories.tip_positions)

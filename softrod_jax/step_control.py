@@ -82,8 +82,9 @@ def run_within(
 def _with_more_care(run, rod, first, care, method, fixed_grid, tolerance, enough=None, tries=None):
     """The last motion, its difference to the one before, its method, and whether they agree.
 
-    `first`: the motion with the `care` and `method` that are given. There are `tries` at most, and else as many as there is more care to take. To agree is to differ
-    by `enough` at most, by `tolerance` where that is `None`.
+    `first`: the motion with the `care` and `method` that are given. There are `tries` at most, and
+    else as many as there is more care to take. To agree is to differ by `enough` at most, by
+    `tolerance` where that is `None`.
     """
     enough = tolerance if enough is None else enough
     last, excess, error = first, 1.0, None
