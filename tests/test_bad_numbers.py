@@ -269,7 +269,15 @@ def test_a_rod_that_is_sucked_through_itself():
             np.testing.assert_allclose(solution.tip_position[2], 0.1 * (1 - part), rtol=1e-8)
     # Without damping, a sudden load stretches twice as much as a slow one.
     move = jax.jit(
-        lambda p: sr.simulate(scene, 3e-3, None, jnp.full((20, 1), p), method=METHOD, throw=False)
+        lambda p: sr.simulate(
+            scene,
+            3e-3,
+            None,
+            jnp.full((20, 1), p),
+            method=METHOD,
+            max_time_error=jnp.inf,  # steps are too long for fronts that nothing damps
+            throw=False,
+        )
     )
     for part, code in ((0.2, 0), (0.4, 0), (0.6, 1), (0.9, 1), (5.0, 1)):
         assert move(-part * least).result == code, part
