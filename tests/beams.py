@@ -16,6 +16,8 @@ SETTINGS = dict(scheme=sr.SDIRK(order=2), method=sr.Collocation(intervals=2, ord
 TRUTH = {"young_modulus": 2.9e5, "bending_damping": 6e-5}
 RATE, STEPS, RELEASE, NOISE = 100.0, 32, 0.05, 2e-4
 # Of fits: with the steps of the recordings, too.
+# A log that is made by the very steps that fit it.
+AS_FITTED = dict(substeps=1, max_time_error=jnp.inf, **SETTINGS)
 FIT = dict(dt=1 / RATE, **SETTINGS)
 
 
@@ -40,7 +42,7 @@ def release(scene, seed=0, noise=NOISE, name="release", correlation=0.0, duratio
     tensions = None
     if duration is not None:
         scene, tensions = held(scene, jnp.array(duration), jnp.array(1 / RATE), STEPS)
-    motion = sr.simulate(scene, 1 / RATE, tensions, steps=STEPS, **SETTINGS)
+    motion = sr.simulate(scene, 1 / RATE, tensions, steps=STEPS, **AS_FITTED)
     lead = round(RELEASE * RATE)
     tip = np.asarray(motion.tip_positions)
     tip = np.concatenate([np.repeat(tip[:1], lead, axis=0), tip])[: STEPS + lead]

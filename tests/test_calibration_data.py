@@ -5,7 +5,7 @@ from dataclasses import replace
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from beams import FIT, RATE, RELEASE, SETTINGS, TRUTH, beam, release
+from beams import AS_FITTED, FIT, RATE, RELEASE, TRUTH, beam, release
 from test_recording import write_c3d
 
 import softrod_jax as sr
@@ -55,7 +55,7 @@ def test_rows_that_were_lost_do_not_move_the_fit(tmp_path):
     scene = beam(**truth, tendons=tendons)
     times = np.arange(60) / RATE
     tensions = np.maximum(6 * np.sin(9 * times)[:, None] * [1, -1], 0)
-    motion = sr.simulate(scene, 1 / RATE, tensions[1:], **SETTINGS)
+    motion = sr.simulate(scene, 1 / RATE, tensions[1:], **AS_FITTED)
     tip = np.asarray(motion.tip_positions)
     tip = tip + 2e-5 * np.random.default_rng(0).normal(size=tip.shape)
     keep = (times < 0.395) | (times > 0.505)

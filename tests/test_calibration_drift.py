@@ -5,7 +5,7 @@ from dataclasses import replace
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from beams import SETTINGS
+from beams import AS_FITTED, SETTINGS
 
 import softrod_jax as sr
 from calibration import Recording, calibrate
@@ -41,7 +41,7 @@ def log(drifting, seed=0):
         begin, tendon = end + random.uniform(0.1, 0.6), 1 - tendon
     part = (times / DURATION)[:, None]
     arriving = tensions * (1 + CREEP * part * (drifting == "inputs"))
-    trajectory = sr.simulate(robot(), INTERVAL, arriving[1:], **SETTINGS)
+    trajectory = sr.simulate(robot(), INTERVAL, arriving[1:], **AS_FITTED)
     tip = (trajectory.tip_positions, trajectory.tip_velocities)
     motion = Motion(*tip, trajectory.positions, jnp.array(0), jnp.array(0.0))
     seen = times / (1 - SLOW * (drifting == "clock")) - LATE
