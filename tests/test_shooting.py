@@ -167,7 +167,9 @@ MULTIPLE, SINGLE = Shooting(20, 1), Shooting()
 def gravity_step(young_modulus, dt, method):
     scene = robot(young_modulus=young_modulus)
     scheme = sr.BDFAlpha()  # one solve a step: a smaller program
-    return sr.simulate(scene, dt, steps=STEPS, method=method, scheme=scheme, throw=False)
+    # Steps are too long for a good tip here; what is asked is what happens along the rod.
+    options = dict(max_time_error=jnp.inf, throw=False)
+    return sr.simulate(scene, dt, steps=STEPS, method=method, scheme=scheme, **options)
 
 
 def test_what_shooting_cannot_do_is_reported():
