@@ -159,7 +159,9 @@ def run_checked(
         unjudged, rod, fine, care, method, fixed_grid, _KEPT, enough=_CONFIRMS * limit, tries=_TRIES
     )
     if not agrees:
-        # Nothing confirms the estimate: it may be too small.
+        if fine.result != RESULTS.successful:
+            return _with(motion, None, method)  # no other tells more than the estimate does
+        # The estimate is contradicted: it may be too small.
         return judged(np.asarray(motion.stats["time_error"]) / _DOUBTFUL)
     if not fixed_steps:
         return _with(found, error, method_found)

@@ -114,9 +114,12 @@ class BDFAlpha(TimeScheme):
         # C dt^3 y_ttt, with the C of a rate: d1 takes over the error of the rate before.
         C = 1 / 3 + self.alpha / 2
         third = _combine((C, y), (-3 * C, y1), (3 * C, y2), (-C, y3))
+        # That of backward Euler, dt^2 y_tt / 2; its c1 is -1 / dt.
+        second = _combine((0.5, y), (-0.5, y1), (0.5 / c1, y1_t))
+        local = jax.tree.map(lambda a, b: jnp.where(ahead == 0, a, b), second, third)
         older = jax.lax.stop_gradient(y2)
         memory = (y, y1, _combine((c0, y), (1.0, history)), last, older)
-        return memory, carry, LocalErrors(difference=third)
+        return memory, carry, LocalErrors(difference=local)
 
 
 def _four_stages(gamma, c2, c3) -> list[list[float]]:
