@@ -418,7 +418,9 @@ def test_a_long_damped_motion_ends_in_the_equilibrium(scene, drive):
     # With these, bending and twisting decay at about the same rate.
     scene = with_(scene, bending_damping=8e-6, shear_damping=0.05)
     tensions, pressures = np.tile(drive["held"], (200, 1)), np.tile(drive["pressure"], (200, 1))
-    motion = sr.simulate(scene, 0.05, tensions, pressures, scheme=sr.BDFAlpha(0.0))
+    # Steps too long for the way there are good enough for its end.
+    as_given = dict(substeps=1, max_time_error=jnp.inf)
+    motion = sr.simulate(scene, 0.05, tensions, pressures, scheme=sr.BDFAlpha(0.0), **as_given)
     rest = sr.solve_static(scene, tensions[0], pressures[0])
     np.testing.assert_allclose(
         motion.positions[-1], rest.positions, rtol=0, atol=1e-6 * LENGTH
