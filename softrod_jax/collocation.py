@@ -139,11 +139,11 @@ class Collocation(Method):
         coarse = self.shape(full_strain(strain, rod), rod.L, *ORIGIN)[0][-1]
         together = tip_of(better, rod.L) - coarse
         # The correction of the nodes and that of what lies between them nearly cancel where a layer
-        # is only just seen; a tenth of one of them is then lost, and more than what is left.
+        # is only just seen. What is left may be a sixth of the error, which is then that of the nodes.
         at_nodes = full_strain(self._strain_at(y + moved, strain, rod), rod)
         at_nodes = self.shape(at_nodes, rod.L, *ORIGIN)[0][-1] - coarse
         size = jnp.linalg.norm
-        moved = jnp.maximum(CAUTION * size(together), 0.1 * size(at_nodes)) / rod.L
+        moved = jnp.maximum(CAUTION * size(together), 0.5 * size(at_nodes)) / rod.L
         turning = layout.attitude
         _, bend = layout.split_strain(strain)
         return jnp.maximum(moved, hidden_turns(bend, h)) if turning else moved

@@ -32,7 +32,7 @@ _STRAINS = 8
 # formula that knows the rod at a few points only. On coils of 6 and 24 turns the estimate without
 # caution was four fifths of the error at 0.8, a seventh of it at 1.6, and anything at 6. There, the
 # errors were 2e-4 and 4e-4 at 1.6, 7e-3 and 2e-2 at 3.1.
-_MOST_TURN, _HIDDEN = 1.5, 1e-3
+_MOST_TURN, _HIDDEN = 1.2, 1e-3
 
 
 class Wide(NamedTuple):
