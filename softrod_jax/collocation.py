@@ -139,7 +139,7 @@ class Collocation(Method):
         coarse = self.shape(full_strain(strain, rod), rod.L, *ORIGIN)[0][-1]
         together = tip_of(better, rod.L) - coarse
         # The correction of the nodes and that of what lies between them nearly cancel where a layer
-        # is only just seen. What is left may be a sixth of the error, which is then that of the nodes.
+        # is only just seen. What is left may be a sixth of the error; the nodes alone show it.
         at_nodes = full_strain(self._strain_at(y + moved, strain, rod), rod)
         at_nodes = self.shape(at_nodes, rod.L, *ORIGIN)[0][-1] - coarse
         size = jnp.linalg.norm

@@ -37,7 +37,7 @@ _STEPS_PER_RADIAN = 2
 _KEPT, _ROUGH = 2e-3, 1e-4
 # The estimate of one motion may be too small by this factor. From there up to the limit, this many
 # times as many substeps must not move the tip by more than this part of the limit.
-_DOUBTFUL, _TIMES, _CONFIRMS = 0.4, 4, 0.3
+_DOUBTFUL, _TIMES, _CONFIRMS = 0.52, 4, 0.3
 # Motions with more and more care at most, where no accuracy is asked for.
 _TRIES = 3
 # A finer grid is of no use where it does not lower that estimate by this: fronts are rough on any.
