@@ -23,8 +23,8 @@ from explicit_rod import Rods, motion
 from report import table
 
 import softrod_jax as sr
-from softrod_jax.scene import as_arrays
-from softrod_jax.time_schemes import jumps
+from softrod_jax.scene.scene import as_arrays
+from softrod_jax.stepping.schemes import jumps
 
 STEPS = 40
 KINDS = ("jump", "ramp", "saw", "pulse", "release", "two jumps")

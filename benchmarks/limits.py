@@ -25,11 +25,11 @@ from report import machine, publish, table
 from skip import programs_inside
 
 import softrod_jax as sr
-from softrod_jax.boundary_value import Equations
-from softrod_jax.compiling import compiler_options
-from softrod_jax.rod import make_rod
-from softrod_jax.rod_ode import History, layout_of
-from softrod_jax.statics import unloaded_guess
+from softrod_jax.bvp.boundary_value import Equations
+from softrod_jax.bvp.unloaded import unloaded_guess
+from softrod_jax.foundation.compiling import compiler_options
+from softrod_jax.rod.constants import make_rod
+from softrod_jax.rod.ode import History, layout_of
 
 DT, REPEATS = 15e-3, 7
 METHOD = sr.Collocation()

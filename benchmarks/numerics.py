@@ -17,10 +17,13 @@ import numpy as np
 from report import machine, publish, table
 
 import softrod_jax as sr
-from softrod_jax import marching, newton, rod, statics
-from softrod_jax.block_sweep import factorise, solve_sweeps
-from softrod_jax.boundary_value import Equations, search_directly
-from softrod_jax.rod_ode import History, Layout
+from softrod_jax import statics
+from softrod_jax.bvp import newton
+from softrod_jax.bvp.block_sweep import factorise, solve_sweeps
+from softrod_jax.bvp.boundary_value import Equations, search_directly
+from softrod_jax.rod import constants as rod
+from softrod_jax.rod.ode import History, Layout
+from softrod_jax.stepping import marching
 
 PAGE = Path(__file__).parents[1] / "docs" / "pages" / "numerics.md"
 L = 0.1

@@ -20,8 +20,9 @@ import numpy as np
 from report import machine, publish, table
 
 import softrod_jax as sr
-from softrod_jax import marching, rod
-from softrod_jax.boundary_value import search_directly
+from softrod_jax.bvp.boundary_value import search_directly
+from softrod_jax.rod import constants as rod
+from softrod_jax.stepping import marching
 
 DT, STEPS, PAIRS = 15e-3, 400, 25
 

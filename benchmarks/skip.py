@@ -21,10 +21,10 @@ from jax.extend.core import ClosedJaxpr, Jaxpr
 from report import machine, publish, table
 
 import softrod_jax as sr
-from softrod_jax.rod import make_rod
-from softrod_jax.rod_ode import layout_of
-from softrod_jax.scene import as_arrays
-from softrod_jax.statics import unloaded_guess
+from softrod_jax.bvp.unloaded import unloaded_guess
+from softrod_jax.rod.constants import make_rod
+from softrod_jax.rod.ode import layout_of
+from softrod_jax.scene.scene import as_arrays
 
 DT, STEPS, REPEATS = 5e-3, 100, 9
 TENSIONS, PRESSURES = (0.1, 0.05, 0.0), (1e4,)

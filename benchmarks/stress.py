@@ -36,7 +36,7 @@ import stress_equilibria
 from report import machine, publish, table
 
 import softrod_jax as sr
-from softrod_jax.scene import as_arrays
+from softrod_jax.scene.scene import as_arrays
 
 FIGURE = Path(__file__).parent / "figures" / "stress.png"
 STEPS, TOLERANCE, WRONG, LONG = 20, 2e-3, 1e-2, 20.0

@@ -13,7 +13,7 @@ import judge_rod
 import numpy as np
 
 import softrod_jax as sr
-from softrod_jax.scene import as_arrays
+from softrod_jax.scene.scene import as_arrays
 
 KINDS = "heavy", "payload", "force", "moment", "coil", "robot", "mixed"
 STRUCTURES = "circle", "annulus", "rectangle", "plane", "inextensible"

@@ -6,16 +6,16 @@ Names are imported when first used, so that `softrod --help` does not wait for J
 from importlib import import_module
 
 _HOME = {
-    "Recording": "calibration.recording",
-    "RecordingError": "calibration.recording",
-    "load_recording": "calibration.loading",
-    "write_log": "calibration.recording",
-    "detect_onset": "calibration.onset",
+    "Recording": "calibration.data.recording",
+    "RecordingError": "calibration.data.recording",
+    "load_recording": "calibration.data.loading",
+    "write_log": "calibration.data.recording",
+    "detect_onset": "calibration.data.onset",
     "calibrate": "calibration.fit",
     "CalibrationError": "calibration.fit",
-    "Fit": "calibration.results",
-    "Estimate": "calibration.results",
-    "write_report": "calibration.report",
+    "Fit": "calibration.report.results",
+    "Estimate": "calibration.report.results",
+    "write_report": "calibration.report.writing",
 }
 
 __all__ = list(_HOME)

@@ -9,20 +9,14 @@ import jax
 import jax.numpy as jnp
 
 import softrod_jax as sr
-from calibration import materials, optimise, robust, uncertainty
-from calibration.assemble import estimates, recording_fit, setup_with
-from calibration.checkpoint import Checkpoint, read_checkpoint
-from calibration.checks import predicted
-from calibration.drift import durations
-from calibration.explain import explain as what_else
-from calibration.first_look import check_axes
-from calibration.loss import Point, Problem, reverse_pays
-from calibration.model import METHOD, SCHEME, make_batch
-from calibration.optimise import Outcome
-from calibration.parameters import catalogue
-from calibration.progress import Bar, Silent
-from calibration.recording import Recording
-from calibration.resolution import (
+from calibration.data.recording import Recording
+from calibration.data.selection import select
+from calibration.experiment.drift import durations
+from calibration.inference import uncertainty
+from calibration.inference.checks import predicted
+from calibration.inference.explain import explain as what_else
+from calibration.inference.first_look import check_axes
+from calibration.inference.resolution import (
     REFITS,
     TOLERANCE,
     Refined,
@@ -32,10 +26,18 @@ from calibration.resolution import (
     first_steps,
     refine,
 )
-from calibration.results import Fit, RecordingFit
-from calibration.search import Log, polished, reweighted, search
-from calibration.selection import select
-from calibration.unknowns import Unknowns, check_conditions, choose_unknowns
+from calibration.parameters import materials
+from calibration.parameters.catalogue import catalogue
+from calibration.parameters.unknowns import Unknowns, check_conditions, choose_unknowns
+from calibration.problem.motion import METHOD, SCHEME, make_batch
+from calibration.problem.problem import Point, Problem, reverse_pays
+from calibration.report.assemble import estimates, recording_fit, setup_with
+from calibration.report.results import Fit, RecordingFit
+from calibration.search import optimise, robust
+from calibration.search.checkpoint import Checkpoint, read_checkpoint
+from calibration.search.multistart import Log, polished, reweighted, search
+from calibration.search.optimise import Outcome
+from calibration.search.progress import Bar, Silent
 
 
 class CalibrationError(ValueError):
@@ -72,7 +74,7 @@ def calibrate(
 ) -> Fit:
     """Fit numbers of `scene`, and of the bench around it, so that its tip moves as recorded.
 
-    - `fit`: names out of `calibration.parameters.catalogue`; by default those of
+    - `fit`: names out of `calibration.parameters.catalogue.catalogue`; by default those of
       young_modulus, bending_damping and drag_coefficient that the scene has. The search starts
       from their values in the scene; everything else stays as it is.
     - `per_recording`: those of them of which each recording has its own value.
@@ -82,8 +84,9 @@ def calibrate(
       the mean of what each fitted recording has for itself.
     - `time_offset`: also fit, for each recording, when its inputs or its release really began.
     - `optimiser`: "levenberg_marquardt", or "adam" (gradient descent), which goes by reverse mode
-      if each recording depends on many parameters (`calibration.loss.reverse_pays`); by default
-      the first for up to `calibration.optimise.MANY` parameters, and the second for more.
+      if each recording depends on many parameters (`calibration.problem.problem.reverse_pays`); by
+      default the first for up to `calibration.search.optimise.MANY` parameters, and the second for
+      more.
     - `loss`: "squares", or "huber" or "tukey", which outliers hardly move.
     - `starts`: search from so many places, the scene's own and others drawn from one decade
       around it on either side (with `seed`), and keep the best.
@@ -92,7 +95,7 @@ def calibrate(
       again with those where they lead elsewhere.
     - `explain`: tell what else, if it were fitted, would explain the residuals.
     - `material`: compare the values with the range of a material out of
-      `calibration.materials.MATERIALS`.
+      `calibration.parameters.materials.MATERIALS`.
     - `progress`: show a bar on stderr.
     - `max_iterations`: evaluations by the optimiser, of each start.
     - `dt` [s]: the time step; by default it is found by simulating the recordings at the scene's
@@ -100,18 +103,18 @@ def calibrate(
     - `tolerance`: how far the simulated tip may be off because of the time step, rms, in lengths of
       the rod (1e-3), and because of the grid along it, a tenth of that.
     - `window`: use the samples from start to end [s, the recordings' clocks]; by default
-      the rule `calibration.selection.RULE`.
+      the rule `calibration.data.selection.RULE`.
     - `drift`: what may drift in logs with inputs, out of "clock", "tip" and "inputs", and the
-      duration [s] of the windows in each of which it changes linearly (`calibration.drift`); by
-      default nothing does.
-    - `checkpoint`: a file in which the state is kept until `calibration.report.write_report` has
-      written the fit; `resume`: go on from it.
+      duration [s] of the windows in each of which it changes linearly
+      (`calibration.experiment.drift`); by default nothing does.
+    - `checkpoint`: a file in which the state is kept until
+      `calibration.report.writing.write_report` has written the fit; `resume`: go on from it.
     - `scheme`, `method`: in time and along the rod, as for `softrod_jax.simulate`; by default the
       grid along the rod is found like `dt`.
 
     A recording without inputs is a release: the rod is held straight until it is let go. One
     with inputs starts straight, or hanging in equilibrium, as its samples before the first
-    movement tell (`calibration.beginning`).
+    movement tell (`calibration.experiment.beginning`).
     Ctrl-C ends the optimisation early and keeps the best point.
 
     Recordings are simulated on all devices that JAX has, as by `softrod_jax.spread`. Several

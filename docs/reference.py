@@ -11,6 +11,7 @@ A name is public if a package's `__init__` hands it on. A new one thus finds its
 """
 
 import ast
+import itertools
 import re
 from graphlib import TopologicalSorter
 from pathlib import Path
@@ -91,30 +92,81 @@ def _docstring(package: str) -> str:
 
 
 def _layout(package: str) -> str:
-    """Files in an order in which each imports from those above it."""
-    trees = {
-        path.stem: ast.parse(path.read_text(encoding="utf-8"))
-        for path in sorted((ROOT / package).glob("*.py"))
-        if path.stem != "__init__"
-    }
-    imports = {name: _imports(package, tree, trees) for name, tree in trees.items()}
-    order = list(TopologicalSorter(imports).static_order())  # an error if they go in circles
+    """Rooms in an order in which each imports from those above it; so do the files of a room."""
+    trees = sources(package)
+    imports = {name: imports_of(package, tree, trees) for name, tree in trees.items()}
+    order = in_order(imports)
+    rooms = in_order(between_rooms(imports))
+    sections = []
+    for alone, group in itertools.groupby(rooms, key=trees.__contains__):
+        if alone:  # files outside of any room
+            sections.append(_table(package, list(group), imports, trees))
+            continue
+        for room in group:
+            path = f"{package}/{room.replace('.', '/')}/"
+            files = [name for name in order if room_of(name) == room]
+            title = f"**`{path}`** {_docstring(f'{package}.{room}')}"
+            sections.append(f"{title}\n\n{_table(package, files, imports, trees)}")
+    return "\n\n".join(sections)
+
+
+def _table(package: str, files, imports, trees) -> str:
     rows = []
-    for name in order:
+    for name in files:
         head = (ast.get_docstring(trees[name]) or "").split("\n\n")[0].replace("\n", " ")
-        others = ", ".join(f"`{x}`" for x in order if x in imports[name])
-        rows.append([f"`{package}/{name}.py`", head.replace("|", "&#124;"), others])
+        others = ", ".join(f"`{short(x, name)}`" for x in sorted(imports[name]))
+        path = f"{package}/{name.replace('.', '/')}.py"
+        rows.append([f"`{path}`", head.replace("|", "&#124;"), others])
     columns = 3 if any(row[2] for row in rows) else 2
     rows = [["file", "what it is for", "imports"], ["---"] * 3, *rows]
     return "\n".join("| " + " | ".join(row[:columns]) + " |" for row in rows)
 
 
-def _imports(package: str, tree, known) -> list[str]:
-    """The files of the package that one imports when it is imported itself."""
+def sources(package: str) -> dict[str, ast.Module]:
+    """The files of a package and of its rooms, by their dotted names below it."""
+    folder = ROOT / package
+    return {
+        ".".join(path.relative_to(folder).with_suffix("").parts): ast.parse(path.read_text("utf-8"))
+        for path in sorted(folder.rglob("*.py"))
+        if path.stem not in ("__init__", "__main__")
+    }
+
+
+def imports_of(package: str, tree, known) -> set[str]:
+    """The files of the package that one imports, also those that it imports when it is used."""
     found = set()
-    for node in tree.body:
-        if isinstance(node, ast.ImportFrom) and node.module == package:
-            found |= {alias.name for alias in node.names}
-        elif isinstance(node, ast.ImportFrom) and node.module.startswith(f"{package}."):
-            found.add(node.module.split(".")[1])
-    return sorted(found & set(known))
+    for node in ast.walk(tree):
+        if not isinstance(node, ast.ImportFrom) or not node.module:
+            continue
+        if node.module != package and not node.module.startswith(f"{package}."):
+            continue
+        module = node.module.removeprefix(package).removeprefix(".")
+        for alias in node.names:
+            inner = f"{module}.{alias.name}".removeprefix(".")
+            found |= {name for name in (inner, module) if name in known}
+    return found
+
+
+def room_of(name: str) -> str:
+    """The folder that a file lies in; empty for those of the package itself."""
+    return name.rpartition(".")[0]
+
+
+def between_rooms(imports: dict[str, set[str]]) -> dict[str, set[str]]:
+    """Which rooms each room imports from. A file outside of any room is a room of its own."""
+    place = lambda name: room_of(name) or name
+    found = {place(name): set() for name in imports}
+    for name, others in imports.items():
+        found[place(name)] |= {place(x) for x in others} - {place(name)}
+    return found
+
+
+def in_order(imports: dict[str, set[str]]) -> list[str]:
+    """Each after all that it imports. Raises `graphlib.CycleError` where they go in circles."""
+    return list(TopologicalSorter(imports).static_order())
+
+
+def short(name: str, seen_from: str) -> str:
+    """A file's name as its neighbours call it."""
+    inside = room_of(name) == room_of(seen_from)
+    return name.rpartition(".")[2] if inside else name.replace(".", "/")

@@ -7,22 +7,24 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
-from softrod_jax.collocation import Collocation
-from softrod_jax.compiling import compiled
-from softrod_jax.grid_control import first_grid
-from softrod_jax.inputs import actuation, is_traced, time_step, whole_number
-from softrod_jax.marching import MOST_SUBSTEPS, Beginning, march
-from softrod_jax.method import Method
-from softrod_jax.newton import NewtonOptions
-from softrod_jax.precision import require_float64
-from softrod_jax.results import RESULTS, raise_unless_successful, without_derivative
-from softrod_jax.rod import clamp_pose, make_rod
-from softrod_jax.rotations import to_base
-from softrod_jax.scene import Scene
-from softrod_jax.scene_checks import checked_scene, usable_in_time
+from softrod_jax.bvp.collocation import Collocation
+from softrod_jax.bvp.grid_control import first_grid
+from softrod_jax.bvp.method import Method
+from softrod_jax.bvp.newton import NewtonOptions
+from softrod_jax.foundation.compiling import compiled
+from softrod_jax.foundation.precision import require_float64
+from softrod_jax.foundation.results import RESULTS, raise_unless_successful, without_derivative
+from softrod_jax.foundation.tracing import is_traced
+from softrod_jax.rod.constants import clamp_pose, make_rod
+from softrod_jax.rod.rotations import to_base
+from softrod_jax.rod.validity import usable_in_time
+from softrod_jax.scene.checks import checked_scene
+from softrod_jax.scene.inputs import actuation, time_step, whole_number
+from softrod_jax.scene.scene import Scene
 from softrod_jax.statics import StaticSolution
-from softrod_jax.step_control import advice, run_checked, run_within
-from softrod_jax.time_schemes import SDIRK, TimeScheme
+from softrod_jax.stepping.marching import MOST_SUBSTEPS, Beginning, march
+from softrod_jax.stepping.schemes import SDIRK, TimeScheme
+from softrod_jax.stepping.step_control import advice, run_checked, run_within
 
 
 class Trajectory(eqx.Module):

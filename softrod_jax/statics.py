@@ -1,46 +1,36 @@
 """Static equilibrium of a scene under constant actuation."""
 
-from typing import Any, NamedTuple
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
-from softrod_jax.boundary_value import (
-    Equations,
-    Found,
-    scaled_loads,
-    search_directly,
+from softrod_jax.bvp.boundary_value import (
     solve_boundary_value,
 )
-from softrod_jax.collocation import Collocation
-from softrod_jax.compiling import compiled
-from softrod_jax.grid_control import (
+from softrod_jax.bvp.collocation import Collocation
+from softrod_jax.bvp.dynamic_relaxation import settle
+from softrod_jax.bvp.grid_control import (
     DEFAULT_TOLERANCE,
     first_grid,
     needed_intervals,
     solve_within,
 )
-from softrod_jax.inputs import actuation, good_inputs, is_traced, zero_unless
-from softrod_jax.method import Guess, Method
-from softrod_jax.newton import NewtonOptions, no_factors
-from softrod_jax.precision import require_float64
-from softrod_jax.restrictions import in_space
-from softrod_jax.results import RESULTS, raise_unless_successful, without_derivative
-from softrod_jax.rod import Rod, clamp_pose, full_strain, make_rod
-from softrod_jax.rod_ode import Layout, layout_of
-from softrod_jax.rotations import quaternion_exp, quaternion_product
-from softrod_jax.scene import Scene
-from softrod_jax.scene_checks import checked_scene, usable
-from softrod_jax.settling import settle
-
-# Continuation gives up when the next load step is a smaller part of the whole than this.
-_SMALLEST_LOAD_STEP = 1e-4
-_MAX_LOAD_STEPS = 200
-# Corrections that fall at least this fast, undamped, from one load to the next: the answer is
-# on the branch that the last one was on.
-_SAFE_CONTRACTION = 0.5
+from softrod_jax.bvp.load_continuation import search_by_load
+from softrod_jax.bvp.method import Method
+from softrod_jax.bvp.newton import NewtonOptions
+from softrod_jax.bvp.unloaded import unloaded_guess
+from softrod_jax.foundation.compiling import compiled
+from softrod_jax.foundation.precision import require_float64
+from softrod_jax.foundation.results import RESULTS, raise_unless_successful, without_derivative
+from softrod_jax.foundation.tracing import is_traced
+from softrod_jax.rod.constants import clamp_pose, full_strain, make_rod
+from softrod_jax.rod.ode import layout_of
+from softrod_jax.rod.validity import usable
+from softrod_jax.scene.checks import checked_scene
+from softrod_jax.scene.inputs import actuation, good_inputs, zero_unless
+from softrod_jax.scene.planes import in_space
+from softrod_jax.scene.scene import Scene
 
 
 class StaticSolution(eqx.Module):
@@ -188,88 +178,3 @@ def _solution(scene, rod, method, solved, valid, transient_steps):
     # On a coarse grid there is an answer, and so there is a derivative.
     answered = (result == RESULTS.successful) | (result == RESULTS.inaccurate)
     return without_derivative(~answered, solution)
-
-
-def unloaded_guess(method: Method, layout: Layout, rod: Rod) -> Guess:
-    """The rod without any load: strains v*, u*, no wrench, at rest."""
-    s = method.points(rod.L)
-    strain = rod.u_star
-    if not layout.inextensible:
-        strain = jnp.concatenate([rod.v_star, strain])
-    strain = jnp.broadcast_to(strain, (s.shape[0], layout.strain_size))
-    h = None
-    if layout.attitude:
-        turn = s[:, None] * rod.u_star
-        h = rod.h_base + turn if layout.planar else quaternion_exp(turn)
-        if not layout.planar:
-            h = quaternion_product(jnp.broadcast_to(rod.h_base, h.shape), h)
-    rest = jnp.zeros((s.shape[0], layout.size - layout.attitude_size))
-    return Guess(layout.join(h, rest), strain)
-
-
-class _Load(NamedTuple):
-    """Continuation: solved at `load`; `before` and `before_load` are one step earlier."""
-
-    load: Array
-    step: Array
-    U: Array
-    found: Found
-    before: Array
-    before_load: Array
-    factors: Any
-    tries: Array
-    running: Array
-
-
-def search_by_load(equations: Equations, options: NewtonOptions, U, before=None):
-    """Raise all loads together from zero to one, in as few steps as is safe.
-
-    A step is taken when Newton's corrections fall fast and undamped from the last answer (by a
-    secant), which keeps the solution on its branch. Ordinary scenes take one.
-    """
-    del before
-
-    def attempt(state):
-        load = jnp.minimum(1.0, state.load + state.step)
-        ahead = (load - state.load) / jnp.maximum(state.load - state.before_load, 1e-12)
-        past = state.found
-        ahead = jnp.where(past.load_steps > 1, ahead, 0.0)
-        start = state.U + ahead * (state.U - state.before)
-        loaded = equations._replace(rod=scaled_loads(equations.rod, load))
-        new, found, factors = search_directly(loaded, options, start)
-        converged = found.result == RESULTS.successful
-        # An unstable answer means that a singular point was stepped over: the path, with its
-        # imperfections, passes by its side. Only where the path itself is unstable (a column
-        # that is straight for symmetry) do no smaller steps help.
-        smallest = state.step / 4 < _SMALLEST_LOAD_STEP
-        passes = found.stable | ~past.stable | smallest
-        ok = converged & (found.contraction < _SAFE_CONTRACTION) & passes
-        step = jnp.where(ok, 2 * state.step, state.step / 4)
-        tries = state.tries + 1
-        stuck = (~ok & (step < _SMALLEST_LOAD_STEP)) | (tries >= _MAX_LOAD_STEPS)
-        finished = ok & (load >= 1.0)
-        failure = jnp.where(converged, RESULTS.diverged, found.result).astype(jnp.int32)
-        found = found._replace(
-            result=jnp.where(finished, found.result, failure),
-            stable=jnp.where(ok, found.stable, past.stable),
-            iterations=past.iterations + found.iterations,
-            load_steps=past.load_steps + ok,
-        )
-        return _Load(
-            load=jnp.where(ok, load, state.load),
-            step=step,
-            U=jnp.where(ok, new, state.U),
-            found=found,
-            before=jnp.where(ok, state.U, state.before),
-            before_load=jnp.where(ok, state.load, state.before_load),
-            factors=factors,
-            tries=tries,
-            running=~stuck & ~finished,
-        )
-
-    zero, none = jnp.zeros((), jnp.int32), jnp.zeros(())
-    found = Found(zero, zero, none, none, zero, jnp.array(True))
-    factors = no_factors(equations.factorise, U)
-    start = _Load(none, jnp.ones(()), U, found, U, none, factors, zero, jnp.array(True))
-    end = jax.lax.while_loop(lambda state: state.running, attempt, start)
-    return end.U, end.found, end.factors

@@ -9,8 +9,8 @@ import numpy as np
 
 import softrod_jax as sr
 from calibration import Recording
-from calibration.release import held
-from softrod_jax.scene import as_arrays
+from calibration.experiment.release import held
+from softrod_jax.scene.scene import as_arrays
 
 SETTINGS = dict(scheme=sr.SDIRK(order=2), method=sr.Collocation(intervals=2, order=6))
 TRUTH = {"young_modulus": 2.9e5, "bending_damping": 6e-5}

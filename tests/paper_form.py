@@ -6,7 +6,7 @@ v_s and u_s, which the total-wrench form does without.
 
 import jax.numpy as jnp
 
-from softrod_jax.rotations import hat, rotation_matrix
+from softrod_jax.rod.rotations import hat, rotation_matrix
 
 
 def actuation_terms(rod, scene, pressures, v, u, v_s, u_s, R):

@@ -6,7 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 
 import softrod_jax as sr
-from softrod_jax.scene import as_arrays
+from softrod_jax.scene.scene import as_arrays
 
 
 @dataclass(frozen=True)

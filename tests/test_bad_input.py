@@ -115,7 +115,7 @@ def test_says_what_is_wrong(tmp_path, monkeypatch, capsys, name, files, argv, fr
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr("calibration.cli.calibrate.prepare_jax", lambda: None)
     # Whatever gets past the checks must not cost a simulation.
-    monkeypatch.setattr("calibration.loss.evaluate", _unexpected)
+    monkeypatch.setattr("calibration.problem.problem.evaluate", _unexpected)
     sr.save_scene(sr.hybrid_robot(), tmp_path / "robot.toml")
     for path, content in files.items():
         raw = content if isinstance(content, bytes) else content.encode()

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import softrod_jax as sr
-from softrod_jax.scene import as_arrays
+from softrod_jax.scene.scene import as_arrays
 
 METHOD = sr.Collocation(6)
 BAD = int(sr.RESULTS.bad_input)

@@ -8,8 +8,8 @@ import pytest
 
 import softrod_jax as sr
 from calibration import Recording
-from calibration.beginning import beginning, hangs
-from calibration.onset import start_position
+from calibration.data.onset import start_position
+from calibration.experiment.beginning import beginning, hangs
 
 LENGTH, G, NOISE = 0.12, 9.81, 2e-4
 STRAIGHT = np.array([0.0, 0.0, LENGTH])

@@ -9,12 +9,12 @@ import pytest
 from jax.flatten_util import ravel_pytree
 
 import softrod_jax as sr
-from softrod_jax.block_sweep import factorise, solve_sweeps
-from softrod_jax.boundary_value import Equations
-from softrod_jax.rod import make_rod
-from softrod_jax.rod_ode import History, layout_of
-from softrod_jax.scene import as_arrays
-from softrod_jax.statics import unloaded_guess
+from softrod_jax.bvp.block_sweep import factorise, solve_sweeps
+from softrod_jax.bvp.boundary_value import Equations
+from softrod_jax.bvp.unloaded import unloaded_guess
+from softrod_jax.rod.constants import make_rod
+from softrod_jax.rod.ode import History, layout_of
+from softrod_jax.scene.scene import as_arrays
 
 METHOD = sr.Collocation()
 

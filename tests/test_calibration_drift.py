@@ -9,13 +9,13 @@ from beams import AS_FITTED, SETTINGS
 
 import softrod_jax as sr
 from calibration import Recording, calibrate
-from calibration.drift import durations
-from calibration.loss import Problem
-from calibration.model import Motion, make_batch, tip_at
-from calibration.report import as_json
-from calibration.selection import Selection
-from calibration.unknowns import choose_unknowns
-from softrod_jax.scene import as_arrays
+from calibration.data.selection import Selection
+from calibration.experiment.drift import durations
+from calibration.parameters.unknowns import choose_unknowns
+from calibration.problem.motion import Motion, make_batch, tip_at
+from calibration.problem.problem import Problem
+from calibration.report.writing import as_json
+from softrod_jax.scene.scene import as_arrays
 
 TRUTH = {"young_modulus": 2.8e5, "bending_damping": 2e-6}
 DURATION, INTERVAL, NOISE, LATE = 6.0, 0.02, 3e-4, 0.04

@@ -10,12 +10,12 @@ from beams import FIT, NOISE, RATE, RELEASE, TRUTH, beam, release
 
 import softrod_jax as sr
 from calibration import RecordingError, calibrate
-from calibration.checkpoint import CheckpointError
-from calibration.model import simulate_motion
-from calibration.optimise import MANY, gradient_descent, levenberg_marquardt, usual
-from calibration.report import as_json, write_report
-from calibration.spectra import amplitudes
-from calibration.windows import split
+from calibration.data.windows import split
+from calibration.problem.motion import simulate_motion
+from calibration.report.spectra import amplitudes
+from calibration.report.writing import as_json, write_report
+from calibration.search.checkpoint import CheckpointError
+from calibration.search.optimise import MANY, gradient_descent, levenberg_marquardt, usual
 
 ALL = (0.0, 1.0)
 NAMES = ("young_modulus", "bending_damping")
@@ -103,7 +103,7 @@ def each(three):
         return simulate_motion(*args)
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("calibration.loss.simulate_motion", counted)
+        patch.setattr("calibration.problem.problem.simulate_motion", counted)
         found = fit(three, per_recording=NAMES[:1], held_out=three[:1])
     return found, len(traced)
 
@@ -127,14 +127,14 @@ def test_reverse_mode_goes_the_same_way(three, each, monkeypatch):
     """Gradient descent by what recordings share, what each has for itself, and their clocks."""
     options = dict(per_recording=NAMES[:1], optimiser="adam", max_iterations=12)
     forward = fit(three, **options)
-    monkeypatch.setattr("calibration.loss._TANGENTS_A_SWEEP", 1)
+    monkeypatch.setattr("calibration.problem.problem._TANGENTS_A_SWEEP", 1)
     directions = []
 
     def noted(problem, *args):
         directions.append(problem.reverse)
         return gradient_descent(problem, *args)
 
-    monkeypatch.setattr("calibration.optimise.OPTIMISERS", {"adam": (noted, 12)})
+    monkeypatch.setattr("calibration.search.optimise.OPTIMISERS", {"adam": (noted, 12)})
     reverse = fit(three, **options)
     assert directions and all(directions)
     assert reverse.evaluations == forward.evaluations > 12
@@ -224,7 +224,7 @@ def test_an_interrupted_fit_goes_on(recording, tmp_path, monkeypatch):
 
     optimisers = {"levenberg_marquardt": (interrupted, 60)}
     with monkeypatch.context() as patch:
-        patch.setattr("calibration.optimise.OPTIMISERS", optimisers)
+        patch.setattr("calibration.search.optimise.OPTIMISERS", optimisers)
         stopped = fit([recording], checkpoint=path)
     assert stopped.result == "interrupted"
     best = min(h["rms_m"] for h in stopped.history if h["stage"] == "levenberg marquardt")
@@ -236,7 +236,7 @@ def test_an_interrupted_fit_goes_on(recording, tmp_path, monkeypatch):
 
     with monkeypatch.context() as patch:
         optimisers = {"levenberg_marquardt": (first_point, 60)}
-        patch.setattr("calibration.optimise.OPTIMISERS", optimisers)
+        patch.setattr("calibration.search.optimise.OPTIMISERS", optimisers)
         done = fit([recording], checkpoint=path, resume=True)
     assert done.result == "converged"
     assert calls[-1].rms <= best * (1 + 1e-9)

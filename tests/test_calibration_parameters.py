@@ -9,14 +9,14 @@ from beams import SETTINGS
 
 import softrod_jax as sr
 from calibration import Recording
-from calibration.loss import Problem, predict, reverse_pays
-from calibration.model import make_batch
-from calibration.parameters import catalogue, choose, prepared, with_values
-from calibration.scales import Between, Factor, Shift
-from calibration.selection import Selection
-from calibration.setup import Setup, rotated
-from calibration.unknowns import choose_unknowns
-from softrod_jax.scene import as_arrays
+from calibration.data.selection import Selection
+from calibration.experiment.setup import Setup, rotated
+from calibration.parameters.catalogue import catalogue, choose, prepared, with_values
+from calibration.parameters.scales import Between, Factor, Shift
+from calibration.parameters.unknowns import choose_unknowns
+from calibration.problem.motion import make_batch
+from calibration.problem.problem import Problem, predict, reverse_pays
+from softrod_jax.scene.scene import as_arrays
 
 CLAMP = np.array([0.9, 0.1, 0.3, -0.2]) / np.linalg.norm([0.9, 0.1, 0.3, -0.2])
 

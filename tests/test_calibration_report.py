@@ -11,9 +11,9 @@ import softrod_jax as sr
 from calibration import calibrate
 from calibration.cli.common import UsageError
 from calibration.cli.exclusive import alone_in
-from calibration.report import as_json, summary, write_report
-from calibration.unknowns import choose_unknowns
-from softrod_jax.scene import as_arrays
+from calibration.parameters.unknowns import choose_unknowns
+from calibration.report.writing import as_json, summary, write_report
+from softrod_jax.scene.scene import as_arrays
 
 EVIL = "<img src=x onerror=alert(1)>"
 NAMES = ("young_modulus", "bending_damping")
@@ -81,7 +81,7 @@ def test_a_disk_that_is_full_loses_neither_fit_nor_checkpoint(recording, tmp_pat
         raise OSError(28, "No space left on device")
 
     with monkeypatch.context() as patch:
-        patch.setattr("calibration.report.write_plots", full)
+        patch.setattr("calibration.report.writing.write_plots", full)
         with pytest.raises(OSError, match="No space"):
             write_report(found, out)
     assert path.exists() and before[:20] == (out / "parameters.json").read_text()[:20]

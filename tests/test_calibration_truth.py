@@ -9,7 +9,7 @@ import pytest
 
 import softrod_jax as sr
 from calibration import Recording, calibrate, load_recording
-from softrod_jax.scene import as_arrays
+from softrod_jax.scene.scene import as_arrays
 
 BEAM = Path(__file__).parents[2] / "shared" / "data" / "beam" / "beam_gravity_V2_a.c3d"
 LOADED = BEAM.with_name("beam_load52_V2_a.c3d")

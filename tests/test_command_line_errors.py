@@ -112,7 +112,7 @@ def test_errors_while_writing(capsys, asked, monkeypatch):
     def full(*args):
         raise OSError(28, "No space left on device", "out.csv")
 
-    monkeypatch.setattr("calibration.recording.write_log", full)
+    monkeypatch.setattr("calibration.data.recording.write_log", full)
     status, _, err = run(capsys, "simulate", "robot.toml", *STEP, "--out", "out.csv")
     assert status == 2
     assert err == "softrod: error: out.csv: No space left on device\n"

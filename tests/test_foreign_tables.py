@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from calibration import RecordingError, load_recording
-from softrod_jax.scene import Chambers, Scene, Tendons, as_arrays
-from softrod_jax.sections import Circle
+from softrod_jax.scene.scene import Chambers, Scene, Tendons, as_arrays
+from softrod_jax.scene.sections import Circle
 
 
 def rod():

@@ -8,7 +8,7 @@ from problems import beam
 from scipy.special import ellipe, ellipk
 
 import softrod_jax as sr
-from softrod_jax.scene import as_arrays
+from softrod_jax.scene.scene import as_arrays
 
 ROBOT = sr.hybrid_robot()
 EA, EI = 5e4 * np.pi * 6e-3**2, 5e4 * np.pi * 6e-3**4 / 4

@@ -243,7 +243,7 @@ def test_paths_that_are_none(tmp_path, name):
     ],
 )
 def test_checkpoints_that_are_none(tmp_path, content):
-    from calibration.checkpoint import Checkpoint, CheckpointError
+    from calibration.search.checkpoint import Checkpoint, CheckpointError
 
     (tmp_path / "c.json").write_text(content)
     saved = object.__new__(Checkpoint)
@@ -254,7 +254,7 @@ def test_checkpoints_that_are_none(tmp_path, content):
 
 @pytest.mark.parametrize("done, x", [([{"x": "a"}], None), ([], ["a"]), (7, None), ([], [[1e400]])])
 def test_checkpoints_of_this_fit_with_other_content(tmp_path, done, x):
-    from calibration.checkpoint import Checkpoint, CheckpointError
+    from calibration.search.checkpoint import Checkpoint, CheckpointError
 
     content = {"fit": "this fit", "done": done, "x": x, "loss": 10**400}
     (tmp_path / "c.json").write_text(json.dumps(content))

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from calibration import RecordingError, load_recording
-from calibration.tables import read_table
-from softrod_jax.scene import Scene, Tendons, as_arrays
-from softrod_jax.sections import Circle
+from calibration.data.tables import read_table
+from softrod_jax.scene.scene import Scene, Tendons, as_arrays
+from softrod_jax.scene.sections import Circle
 
 TIMES = np.arange(40) / 50
 # A tip that rests, then moves along x and sinks: in m, in the scene's frame.

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import softrod_jax as sr
-from softrod_jax.newton import Borrowed, NewtonOptions, newton
+from softrod_jax.bvp.newton import Borrowed, NewtonOptions, newton
 
 
 def equations(x):

@@ -21,7 +21,7 @@ from PIL import Image  # noqa: E402
 
 from softrod_jax import pictures  # noqa: E402
 from softrod_jax.pictures.body import body_of, line_along, placed  # noqa: E402
-from softrod_jax.rotations import quaternion_exp  # noqa: E402
+from softrod_jax.rod.rotations import quaternion_exp  # noqa: E402
 
 LENGTH, STRETCH = 0.1, 0.95
 

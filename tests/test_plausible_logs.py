@@ -5,12 +5,12 @@ import pytest
 from test_foreign_tables import INPUTS, TIME, TIP, load, rod
 
 from calibration import Recording, RecordingError, load_recording, write_log
-from calibration.clocks import gaps_of
-from calibration.log_plot import log_figure
-from calibration.selection import select
-from calibration.windows import split
-from softrod_jax.scene import Scene, as_arrays
-from softrod_jax.sections import Circle
+from calibration.data.clocks import gaps_of
+from calibration.data.selection import select
+from calibration.data.windows import split
+from calibration.report.log_plot import log_figure
+from softrod_jax.scene.scene import Scene, as_arrays
+from softrod_jax.scene.sections import Circle
 
 TIMES = np.arange(0, 4, 0.01)
 
@@ -303,7 +303,8 @@ def test_gaps_reach_the_command_line(tmp_path, capsys):
 
 
 def test_a_fit_that_asks_for_too_much_memory_says_how_much(monkeypatch):
-    from calibration import calibrate, memory
+    from calibration import calibrate
+    from calibration.problem import memory
 
     recording = Recording(TIMES, (1 + np.sin(3 * TIMES))[:, None], np.zeros((400, 1)), swinging())
     options = {"fit": ("young_modulus",), "progress": False, "window": (0, 4)}
@@ -315,7 +316,7 @@ def test_a_fit_that_asks_for_too_much_memory_says_how_much(monkeypatch):
 
 
 def test_a_million_rows_are_too_many_and_an_hour_is_not():
-    from calibration import memory
+    from calibration.problem import memory
 
     with pytest.raises(RecordingError, match="GB"):
         memory.check_memory(memory.motion_bytes(1, 1_000_000, 4, 4), "a log", "cut it")

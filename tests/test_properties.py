@@ -14,8 +14,8 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 import softrod_jax as sr
-from softrod_jax.rotations import quaternion_product, rotation_matrix
-from softrod_jax.scene import as_arrays
+from softrod_jax.rod.rotations import quaternion_product, rotation_matrix
+from softrod_jax.scene.scene import as_arrays
 
 BARE = sr.hybrid_robot()
 LENGTH, STEPS = 0.1, 24

@@ -8,12 +8,12 @@ import pytest
 
 import softrod_jax as sr
 from calibration import Recording, calibrate
-from calibration.loss import Problem
-from calibration.model import METHOD, SCHEME, make_batch
-from calibration.report import as_json
-from calibration.resolution import TOLERANCE, Resolution, first_choice, first_steps
-from calibration.selection import select
-from calibration.unknowns import choose_unknowns
+from calibration.data.selection import select
+from calibration.inference.resolution import TOLERANCE, Resolution, first_choice, first_steps
+from calibration.parameters.unknowns import choose_unknowns
+from calibration.problem.motion import METHOD, SCHEME, make_batch
+from calibration.problem.problem import Problem
+from calibration.report.writing import as_json
 
 NAMES = ("young_modulus", "bending_damping")
 

@@ -7,9 +7,9 @@ import pytest
 from paper_form import balance, material_wrench
 
 import softrod_jax as sr
-from softrod_jax.constitutive import compliance, imbalance, local_problem, recover_strain
-from softrod_jax.rod import make_rod
-from softrod_jax.rod_ode import (
+from softrod_jax.rod.constants import make_rod
+from softrod_jax.rod.constitutive import compliance, imbalance, local_problem, recover_strain
+from softrod_jax.rod.ode import (
     History,
     Layout,
     rod_ode,
@@ -17,7 +17,7 @@ from softrod_jax.rod_ode import (
     tip_condition,
     to_body_by_attitude,
 )
-from softrod_jax.rotations import hat, quaternion_exp, rotation_matrix, to_body
+from softrod_jax.rod.rotations import hat, quaternion_exp, rotation_matrix, to_body
 
 
 def full_scene(**changes):

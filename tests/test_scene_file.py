@@ -5,7 +5,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from softrod_jax.scene import (
+from softrod_jax.scene.file import load_scene, save_scene
+from softrod_jax.scene.scene import (
     Chambers,
     Payload,
     Scene,
@@ -14,9 +15,8 @@ from softrod_jax.scene import (
     as_arrays,
     hybrid_robot,
 )
-from softrod_jax.scene_file import load_scene, save_scene
-from softrod_jax.scene_schema import SceneError
-from softrod_jax.sections import Annulus, Circle, GeneralSection, Rectangle
+from softrod_jax.scene.schema import SceneError
+from softrod_jax.scene.sections import Annulus, Circle, GeneralSection, Rectangle
 
 ROBOT = """
 [rod]

@@ -9,10 +9,10 @@ import pytest
 from scipy.integrate import solve_ivp
 
 import softrod_jax as sr
-from softrod_jax.rod import make_rod
-from softrod_jax.rod_ode import History, Layout, rod_ode
-from softrod_jax.scene import as_arrays
-from softrod_jax.shooting import Shooting
+from softrod_jax.bvp.shooting import Shooting
+from softrod_jax.rod.constants import make_rod
+from softrod_jax.rod.ode import History, Layout, rod_ode
+from softrod_jax.scene.scene import as_arrays
 
 
 def robot(**changes):

@@ -10,7 +10,7 @@ import pytest
 from problems import CLOSED_FORMS
 
 import softrod_jax as sr
-from softrod_jax.scene import as_arrays
+from softrod_jax.scene.scene import as_arrays
 
 SHARED = Path(__file__).parents[2] / "shared" / "reference"
 FINE = {4: sr.Collocation(40, order=4), 6: sr.Collocation(16, order=6)}
@@ -95,7 +95,7 @@ def test_every_symmetry_of_three_tendons():
 def test_turning_the_base_turns_the_answer():
     base = sr.hybrid_robot(gravity=jnp.array([-3.0, 1.0, 2.0]))
     h = jnp.array([0.8, 0.2, -0.4, 0.4])
-    from softrod_jax.rotations import rotation_matrix, to_base
+    from softrod_jax.rod.rotations import rotation_matrix, to_base
 
     turned = sr.Scene(
         **{

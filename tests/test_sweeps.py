@@ -13,7 +13,7 @@ import together
 from together import SCENE, bend, wave
 
 import softrod_jax as sr
-from softrod_jax import sweeps
+from softrod_jax.parallel import sweeps
 
 # Some have no equilibrium, one is no number.
 PULLS = np.linspace(0.0, 3.0, 33)
@@ -27,7 +27,7 @@ import os, signal, sys
 import jax
 jax.config.update("jax_enable_x64", True)
 import softrod_jax as sr
-from softrod_jax import sweeps
+from softrod_jax.parallel import sweeps
 from test_sweeps import CHUNK, PULLS, bend
 whole, calls = sweeps.np.savez, []
 class Half:

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import softrod_jax as sr
-from softrod_jax.scene import as_arrays
+from softrod_jax.scene.scene import as_arrays
 
 # Tips after 5, 10, 15 and 20 steps, and at the end of the other motion: from explicit finite
 # differences of a discrete Lagrangian, known to 1e-3 and 3e-3 lengths.

@@ -7,7 +7,7 @@ import pytest
 from beams import FIT, RELEASE, TRUTH, beam, release
 
 from calibration import calibrate
-from calibration.noise import _peak
+from calibration.inference.noise import _peak
 
 OPTIONS = dict(checks=False, window=(0.0, 1.0), progress=False, **FIT)
 

@@ -8,7 +8,7 @@ import pytest
 
 import softrod_jax as sr
 from calibration import write_log
-from softrod_jax.whole_files import whole_file
+from softrod_jax.foundation.whole_files import whole_file
 
 
 def test_a_full_disk_leaves_what_was_there(tmp_path):

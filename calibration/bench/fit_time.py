@@ -14,9 +14,9 @@ import jax.numpy as jnp
 import numpy as np
 
 import softrod_jax as sr
+from calibration.data.recording import Recording
 from calibration.fit import calibrate
-from calibration.recording import Recording
-from softrod_jax.scene import as_arrays
+from softrod_jax.scene.scene import as_arrays
 
 _RATE, _REST, _SAMPLES, _NOISE = 100.0, 6, 90, 3e-4
 

@@ -11,12 +11,12 @@ import jax
 import jax.numpy as jnp
 
 import softrod_jax as sr
+from calibration.data.loading import load_recording
 from calibration.examples import example_paths
 from calibration.examples.make_example import TRUTH
+from calibration.experiment.setup import Setup
 from calibration.fit import calibrate
-from calibration.loading import load_recording
-from calibration.parameters import with_values
-from calibration.setup import Setup
+from calibration.parameters.catalogue import with_values
 
 
 def main() -> None:

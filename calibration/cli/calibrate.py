@@ -171,8 +171,8 @@ def run(args) -> int:
     import softrod_jax as sr
 
     try:
-        from calibration.plots import write_data_plot
-        from calibration.report import summary, write_report
+        from calibration.report.plots import write_data_plot
+        from calibration.report.writing import summary, write_report
     except ImportError as e:
         raise UsageError(f"{e}: pip install 'softrod_jax[calibration]'") from None
 
@@ -206,7 +206,7 @@ def run(args) -> int:
 def _fitted(args, scene, recordings, held_out, out: Path):
     """The fit that the command line asks for."""
     from calibration import calibrate
-    from calibration.model import METHOD
+    from calibration.problem.motion import METHOD
 
     method = None if args.intervals is None else replace(METHOD, intervals=args.intervals)
     return calibrate(
@@ -308,7 +308,7 @@ def _conditioned(recordings, conditions):
 
 def _cut(args, recordings):
     """The parts of the recordings that --window and --split ask for."""
-    from calibration.windows import split
+    from calibration.data.windows import split
 
     if args.window is not None:
         recordings = [r.window(*args.window) for r in recordings]

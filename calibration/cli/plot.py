@@ -79,8 +79,8 @@ def run(args) -> int:
     except ImportError as e:
         raise UsageError(f"{e}: pip install 'softrod_jax[plots]'") from None
     if scene_path is None:
-        from calibration.loading import load_recording
-        from calibration.log_plot import log_figure
+        from calibration.data.loading import load_recording
+        from calibration.report.log_plot import log_figure
 
         _save(log_figure(load_recording(log_path)), out)
         return _written(out)
@@ -155,8 +155,8 @@ def _draw_equilibrium(args, scene, out) -> int:
 def _draw_motion(args, scene, log_path, out, kind) -> int:
     import numpy as np
 
-    from calibration.loading import load_recording
-    from calibration.log_plot import log_figure
+    from calibration.data.loading import load_recording
+    from calibration.report.log_plot import log_figure
     from softrod_jax.pictures import animate
 
     log = load_recording(log_path, scene, need_tip=False)

@@ -168,7 +168,7 @@ def _inputs(args, scene):
         )
     if args.tension is not None or args.pressure is not None:
         raise UsageError("--log already gives the inputs: leave --tension and --pressure out")
-    from calibration.loading import load_recording
+    from calibration.data.loading import load_recording
 
     log = load_recording(args.log, scene, need_tip=False)
     for assumption in log.notes:
@@ -234,7 +234,7 @@ def _write(path, scene, ts, tensions, pressures, tips) -> None:
     """The motion with the columns of a log of this scene: actuators not used are at zero."""
     import numpy as np
 
-    from calibration.recording import write_log
+    from calibration.data.recording import write_log
 
     if tensions is None and scene.tendons is not None:
         tensions = np.zeros((len(ts), scene.tendons.count))

@@ -16,13 +16,13 @@ except ModuleNotFoundError as error:
         'pip install "softrod_jax[learning]"'
     ) from error
 
-from softrod_jax.collocation import Collocation
+from softrod_jax.bvp.collocation import Collocation
+from softrod_jax.bvp.method import Method
+from softrod_jax.foundation.results import RESULTS, result_message
 from softrod_jax.learning.stepping import Action, Stepper
-from softrod_jax.method import Method
-from softrod_jax.results import RESULTS, result_message
-from softrod_jax.scene import Scene, hybrid_robot
+from softrod_jax.scene.scene import Scene, hybrid_robot
 from softrod_jax.statics import solve_static
-from softrod_jax.time_schemes import BDFAlpha, TimeScheme
+from softrod_jax.stepping.schemes import BDFAlpha, TimeScheme
 
 # Bounds of what is observed: the tip and the target, and the tip's velocity, in lengths of the rod
 # and lengths a second.

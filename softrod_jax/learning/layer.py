@@ -10,16 +10,16 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from softrod_jax.collocation import Collocation
+from softrod_jax.bvp.collocation import Collocation
+from softrod_jax.bvp.method import Method
+from softrod_jax.bvp.newton import NewtonOptions
 from softrod_jax.dynamics import simulate
-from softrod_jax.inputs import time_step, whole_number
-from softrod_jax.method import Method
-from softrod_jax.newton import NewtonOptions
-from softrod_jax.precision import require_float64
-from softrod_jax.scene import Scene
-from softrod_jax.scene_checks import checked_scene
+from softrod_jax.foundation.precision import require_float64
+from softrod_jax.scene.checks import checked_scene
+from softrod_jax.scene.inputs import time_step, whole_number
+from softrod_jax.scene.scene import Scene
 from softrod_jax.statics import StaticSolution
-from softrod_jax.time_schemes import SDIRK, TimeScheme
+from softrod_jax.stepping.schemes import SDIRK, TimeScheme
 
 
 class RodPath(NamedTuple):

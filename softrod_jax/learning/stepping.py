@@ -12,21 +12,22 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
-from softrod_jax.collocation import Collocation
-from softrod_jax.compiling import compiled
-from softrod_jax.inputs import actuation, good_inputs, time_step, whole_number, zero_unless
-from softrod_jax.marching import Beginning, Course, make_stepping
-from softrod_jax.method import Method
-from softrod_jax.newton import NewtonOptions
-from softrod_jax.precision import require_float64
-from softrod_jax.restrictions import in_space
-from softrod_jax.results import RESULTS, without_derivative
-from softrod_jax.rod import clamp_pose, full_strain, make_rod
-from softrod_jax.rotations import to_base
-from softrod_jax.scene import Scene
-from softrod_jax.scene_checks import checked_scene, usable, usable_in_time
+from softrod_jax.bvp.collocation import Collocation
+from softrod_jax.bvp.method import Method
+from softrod_jax.bvp.newton import NewtonOptions
+from softrod_jax.foundation.compiling import compiled
+from softrod_jax.foundation.precision import require_float64
+from softrod_jax.foundation.results import RESULTS, without_derivative
+from softrod_jax.rod.constants import clamp_pose, full_strain, make_rod
+from softrod_jax.rod.rotations import to_base
+from softrod_jax.rod.validity import usable, usable_in_time
+from softrod_jax.scene.checks import checked_scene
+from softrod_jax.scene.inputs import actuation, good_inputs, time_step, whole_number, zero_unless
+from softrod_jax.scene.planes import in_space
+from softrod_jax.scene.scene import Scene
 from softrod_jax.statics import StaticSolution
-from softrod_jax.time_schemes import SDIRK, TimeScheme
+from softrod_jax.stepping.marching import Beginning, Course, make_stepping
+from softrod_jax.stepping.schemes import SDIRK, TimeScheme
 
 
 class Action(NamedTuple):

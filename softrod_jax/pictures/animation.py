@@ -22,7 +22,7 @@ from softrod_jax.pictures.drawing import (
 )
 from softrod_jax.pictures.page import PAGE
 from softrod_jax.pictures.stills import add_legend, check_solved, draw_dots
-from softrod_jax.scene import Scene
+from softrod_jax.scene.scene import Scene
 
 # A frame takes 0.1 s to draw, and half a megabyte of memory until all are there.
 MOST_FRAMES = 600

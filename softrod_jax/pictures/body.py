@@ -10,9 +10,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from softrod_jax.rotations import rotation_matrix
-from softrod_jax.scene import Scene
-from softrod_jax.sections import Annulus, Circle, Rectangle
+from softrod_jax.rod.rotations import rotation_matrix
+from softrod_jax.scene.scene import Scene
+from softrod_jax.scene.sections import Annulus, Circle, Rectangle
 
 _CORNERS = 24  # of a circle
 

@@ -7,7 +7,7 @@ from matplotlib.ticker import MaxNLocator
 from mpl_toolkits.mplot3d.art3d import Line3DCollection, Poly3DCollection
 
 from softrod_jax.pictures.body import Body, Line, body_of, line_along, placed
-from softrod_jax.scene import Scene
+from softrod_jax.scene.scene import Scene
 
 # Places along the rod at which it is drawn.
 POINTS = 49

@@ -6,6 +6,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
 from softrod_jax.dynamics import Trajectory
+from softrod_jax.foundation.results import RESULTS, result_message
 from softrod_jax.pictures.body import Line, body_of, line_along
 from softrod_jax.pictures.drawing import (
     CHAMBER_COLOUR,
@@ -17,8 +18,7 @@ from softrod_jax.pictures.drawing import (
     rod_axes,
     unit_of,
 )
-from softrod_jax.results import RESULTS, result_message
-from softrod_jax.scene import Scene
+from softrod_jax.scene.scene import Scene
 
 _ON_TOP = 10_000
 

@@ -1,0 +1,1 @@
+"""Recordings: from the files of laboratories to tip positions and inputs in SI units."""

@@ -1,0 +1,142 @@
+"""Motion capture files (C3D), as written by Qualisys, Vicon, OptiTrack and others.
+
+A C3D knows its markers, its rate and its unit. It does not know the rod: where the clamp is,
+which axis runs along the rod, and when the rod was let go. This reader takes
+
+- the mean of the tip markers as the tip,
+- the file's axes as the scene's, or as `axes` maps them,
+- the rest at the beginning of the recording, the rod being held straight, as the place of the
+  scene's straight tip. Only displacements are therefore measured.
+"""
+
+from os import PathLike
+from pathlib import Path
+
+import numpy as np
+
+from calibration.data.c3d_points import Points, length_unit, read_points
+from calibration.data.frames import axes_matrix, check_one_body, rest_samples, straight_tip
+from calibration.data.plausible import Source, check_reach
+from calibration.data.recording import Recording, RecordingError
+
+
+def read_c3d(
+    path: str | PathLike,
+    scene,
+    *,
+    tip_markers: str = "tip",
+    base_markers: str | None = "base",
+    axes: str = "x,y,z",
+) -> Recording:
+    """The recording in the C3D file `path`, for `scene`. Time 0 is the file's first frame.
+
+    - `tip_markers`, `base_markers`: how the markers' labels begin; upper and lower case are
+      the same, several beginnings are separated by commas. With base markers in the file, the
+      tip is measured from their mean, so that a clamp that shifts is not taken for a rod that
+      bends; `None` takes the tip alone.
+    - `axes`: which axes of the file are the scene's x, y and z, such as "-y,x,z".
+
+    A frame in which any of these markers is missing, or at exactly (0, 0, 0), is a missing sample.
+
+    Raises `RecordingError` if ezc3d is not installed, the file cannot be read, markers, unit
+    or rate are not there, two markers have one label or are not on one body, or the recording does
+    not begin with the rod at rest.
+    """
+    if scene is None:
+        raise RecordingError(f"{path}: a C3D does not say where the clamp is: give the scene")
+    rotation = axes_matrix(axes, f"{path}: ")
+    file = read_points(path)
+    labels = file.labels
+    tip_columns, notes = _find(path, file, tip_markers, "tip_markers")
+    if not tip_columns:
+        others = f" (not positions: {', '.join(file.kinds)})" if file.kinds else ""
+        raise RecordingError(
+            f"{path}: no marker's label begins with {tip_markers!r} (tip_markers); the file has "
+            f"{', '.join(x for x in labels if x not in file.kinds)}{others}"
+        )
+    if file.rate is None:
+        raise RecordingError(f"{path}: POINT:RATE is missing, expected a number above 0 [Hz]")
+    base_columns = []
+    if base_markers is not None:
+        base_columns, others = _find(path, file, base_markers, "base_markers")
+        notes += others
+        # Always at the origin: it was never seen, or marks it. Either way it does not move.
+        base_columns = [j for j in base_columns if np.any(file.positions[:, j])]
+    points = length_unit(path, file.unit) * file.positions @ rotation.T
+    for columns in (tip_columns, base_columns):
+        check_one_body(path, points[:, columns], [labels[j] for j in columns], scene)
+    tip = np.mean(points[:, tip_columns], axis=1)
+    clamp = np.mean(points[:, base_columns], axis=1) if base_columns else np.zeros_like(tip)
+    known = np.all(np.isfinite(tip + clamp), axis=1)
+    if not np.any(known):
+        raise RecordingError(
+            f"{path}: no frame has all the markers "
+            f"{', '.join(labels[j] for j in tip_columns + base_columns)}; choose markers that "
+            "were seen with tip_markers and base_markers"
+        )
+    # The tip alone tells the rest: base markers move least and their noise would hide it.
+    rest = rest_samples(tip[known], path)
+    clamp_moved = clamp - np.median(clamp[known][:rest], axis=0)
+    tip = tip - np.median(tip[known][:rest], axis=0) - clamp_moved
+    notes += [
+        f"tip = mean of the markers {', '.join(labels[j] for j in tip_columns)}",
+        f"origin: the median of the tip over {rest} samples at rest is the scene's straight tip",
+        *file.notes,
+    ]
+    if base_columns:
+        largest = 1e3 * np.nanmax(np.linalg.norm(clamp_moved, axis=1))
+        notes.append(
+            f"movement of the clamp, up to {largest:.2g} mm, subtracted (mean of the markers "
+            f"{', '.join(labels[j] for j in base_columns)})"
+        )
+    recording = Recording(
+        times=np.arange(len(tip)) / file.rate,
+        tensions=None,
+        pressures=None,
+        tip_positions=tip + straight_tip(scene),
+        name=Path(path).stem,
+        source=str(path),
+        origin_known=False,
+        notes=tuple(notes),
+    )
+    source = Source(
+        [f"frame {k + 1}" for k in range(len(tip))],
+        f"markers {', '.join(labels[j] for j in tip_columns)}",
+        unit="POINT:UNITS",
+        origin=None,
+    )
+    check_reach(recording, scene, source)
+    return recording
+
+
+def _find(path, file: Points, beginnings: str, option: str) -> tuple[list[int], list[str]]:
+    """The positions whose label begins with one of `beginnings`, and what is left out.
+
+    A subject's name before ':' is ignored unless it is given. Raises `RecordingError` if labels
+    of two subjects begin so, or two markers have one label.
+    """
+    wanted = tuple(b.strip().lower() for b in beginnings.split(",") if b.strip())
+    chosen, left_out = [], []
+    for j, label in enumerate(file.labels):
+        name = label.split(":")[-1].strip().lower()
+        if name.startswith(wanted) or label.lower().startswith(
+            tuple(w for w in wanted if ":" in w)
+        ):
+            (left_out if label in file.kinds else chosen).append(j)
+    labels = [file.labels[j] for j in chosen]
+    for label in labels:
+        if label in file.twice:
+            raise RecordingError(
+                f"{path}: two markers are called {label!r}, and both were seen: rename one in the "
+                f"software that exported the file, or choose others with {option}"
+            )
+    subjects = {
+        label.rpartition(":")[0] for label in labels if not label.lower().startswith(wanted)
+    }
+    if len(subjects) > 1:
+        raise RecordingError(
+            f"{path}: {', '.join(labels)} are of {len(subjects)} subjects; choose one with its "
+            f"name and colon, {option} = {labels[0]!r}"
+        )
+    names = ", ".join(file.labels[j] for j in left_out)
+    return chosen, [f"{names}: no positions, left out"] if left_out else []

@@ -1,0 +1,56 @@
+"""Reading a recording, whatever kind of file it is in."""
+
+from os import PathLike
+from pathlib import Path
+
+import numpy as np
+
+from calibration.data.c3d import read_c3d
+from calibration.data.log import read_log
+from calibration.data.mapping import read_mapped
+from calibration.data.recording import Recording, RecordingError
+
+
+def load_recording(
+    path: str | PathLike,
+    scene=None,
+    *,
+    mapping: str | PathLike | None = None,
+    need_tip: bool = True,
+    **c3d_options,
+) -> Recording:
+    """The recording in `path`: a .csv log, a .c3d motion capture or, with a mapping, any table.
+
+    With a `scene`, the log must have a column for each of its tendons and chambers, and the
+    tip must be within reach of the rod. `mapping`: a file that says which columns of a .csv, .mat,
+    .h5, .parquet or .c3d are what, see `calibration.data.mapping`. Without one a .csv has this
+    project's columns, see `read_log`, and a .c3d is read by `calibration.data.c3d.read_c3d`, whose
+    options are `tip_markers`, `base_markers` and `axes`. Both kinds but the .csv need the scene.
+    `need_tip=False` accepts a CSV without tip columns: inputs alone.
+
+    Raises `RecordingError` (a `ValueError`) naming file, row, column, value and remedy.
+    """
+    # A number near the largest becomes infinite on the way, and is then out of reach.
+    with np.errstate(over="ignore", invalid="ignore"):
+        return _load(path, scene, mapping, need_tip, c3d_options)
+
+
+def _load(path, scene, mapping, need_tip, c3d_options) -> Recording:
+    suffix = Path(path).suffix.lower()
+    if c3d_options and (suffix != ".c3d" or mapping is not None):
+        names = ", ".join(c3d_options)
+        raise RecordingError(
+            f"{path}: {names}: options of .c3d files without a mapping only; leave them out"
+        )
+    if mapping is not None:
+        if scene is None:
+            raise RecordingError(f"{path}: to read it by a mapping, give the scene")
+        return read_mapped(path, mapping, scene)
+    if suffix == ".csv":
+        return read_log(path, scene, need_tip=need_tip)
+    if suffix == ".c3d":
+        return read_c3d(path, scene, **c3d_options)
+    raise RecordingError(
+        f"{path}: unknown kind of recording {suffix!r}: expected .csv or .c3d; .mat, .h5 and "
+        ".parquet need a mapping that says which columns are what"
+    )

@@ -1,0 +1,295 @@
+"""Mapping files: from somebody's columns, units and axes to a `Recording`.
+
+    [time]
+    column = "Time"                     # or rate = 100.0 [Hz]; a motion capture knows its own
+    unit = "ms"
+    offset = -1704448800.0              # added first, in the file's unit
+    format = "%d/%m/%Y %H:%M:%S.%f"     # of dates; not needed for 2024-01-05 or 05.01.2024
+    [tip]
+    columns = ["X", "Y", "Z"]           # or markers = [["a.x", "a.y", "a.z"], ..]: their mean;
+                                        # "" for a coordinate that was not measured
+    unit = "mm"
+    axes = "-y,x,z"                     # which axes of the file are the scene's x, y, z
+    missing = -9999.0                   # what stands for a sample that was not seen; or [0, -9999]
+    origin = [0.0, 12.0, 250.0]         # the clamp in the file's axes and unit; or rest = true:
+                                        # put the rest at the beginning at the straight tip
+    [[tensions]]                        # one for each tendon, in the scene's order
+    column = "Load cell 1"
+    unit = "gf"
+    offset = -12.0                      # added first, in the file's unit
+    scale = 1.0                         # then multiplied with: units a volt of a sensor, or -1
+    time = { column = "t_daq", unit = "s" }  # if it has a clock of its own
+    [[pressures]]
+    column = "P"
+    unit = "kPa"
+    [[base_markers]]                    # three or more: the frame is fitted to them
+    columns = ["b1.x", "b1.y", "b1.z"]
+    position = [0.02, 0.0, 0.0]         # m, where the marker is in the scene's frame
+    [conditions]                        # in what this experiment differs from the scene
+    payload_mass = 0.052
+    [csv]                               # of text files
+    delimiter = ";"                     # or "tab", "space"; found if absent, as the next three
+    skip_rows = 3                       # lines before the header
+    header = true                       # false if there is none: columns are then called 1, 2, ..
+    encoding = "cp1252"
+    decimal = ","
+    thousands = "."
+    missing = ["n.d.", "x"]             # cells that stand for nothing, beside NA, nan, - and so on
+
+Where the file says its units (a C3D, Motive, a row of units below the header, `X [mm]`), `unit`
+may be left out, and is an error if it says another; `ignore_file_unit = true` beside it overrules
+the file. A sample of the tip at exactly (0, 0, 0) is one that was not seen.
+"""
+
+from dataclasses import replace
+from os import PathLike
+from pathlib import Path
+
+import numpy as np
+
+from calibration.data import units
+from calibration.data.cells import NumberFormat
+from calibration.data.clocks import check_overlap, find_gaps
+from calibration.data.frames import axes_matrix, check_one_body, from_base_markers, from_rest
+from calibration.data.loads import without_noise_below_zero
+from calibration.data.mapped_columns import Clock, check_interval, factor, one_zero
+from calibration.data.mapping_file import Spec, read_toml
+from calibration.data.plausible import Source, check_reach
+from calibration.data.recording import Recording, RecordingError
+from calibration.data.table import Table
+from calibration.data.tables import read_table
+from calibration.data.text_tables import TextOptions
+from calibration.data.unseen import at_zero, base_is_zero
+
+_SHORT = {"tensions": "force", "pressures": "pressure"}
+_FILL = "fill it in or delete the row"
+
+
+def read_mapped(path: str | PathLike, mapping: str | PathLike, scene) -> Recording:
+    """The recording in `path`, as the mapping file `mapping` describes it; for `scene`.
+
+    Raises `RecordingError` naming file, row, column, value and remedy; for a mapping that cannot
+    be, naming its key.
+    """
+    spec = read_toml(mapping)
+    table = read_table(path, _text_options(spec.table("csv", required=False)))
+    clock = Clock(table, spec.table("time", required=table.interval is None))
+    tip, clock_of_tip, notes, known, source = _tip(table, spec, clock, scene)
+    inputs = {
+        name: [_input(table, part, kind, clock) for part in spec.tables(name)]
+        for name, kind in _SHORT.items()
+    }
+    conditions = spec.table("conditions", required=False).numbers()
+    spec.done()
+    _check_counts(mapping, inputs, scene)
+    clocks, dated = one_zero(path, [clock_of_tip, *(x[1] for p in inputs.values() for x in p)])
+    clock_of_tip, others = clocks[0], iter(clocks[1:])
+    inputs = {
+        name: [(part, next(others), *rest) for part, _, *rest in parts]
+        for name, parts in inputs.items()
+    }
+    check_interval(path, mapping, clock_of_tip[np.any(np.isfinite(tip), axis=1)])
+    gaps, said = _clocks_of(path, clock_of_tip, tip, inputs)
+    times, merged, columns, clipped = _merged(path, clock_of_tip, tip, inputs)
+    recording = Recording(
+        times=times,
+        tensions=columns["tensions"],
+        pressures=columns["pressures"],
+        tip_positions=merged,
+        name=Path(path).stem,
+        source=str(path),
+        origin_known=known,
+        notes=(*table.notes, *dated, *notes, *clipped, *said),
+        conditions=conditions,
+        gaps=gaps,
+    )
+    if not np.any(recording.has_tip):
+        raise RecordingError(f"{path}: {source.columns}: every sample is missing")
+    names = dict(zip(clock_of_tip.tolist(), source.labels, strict=True))
+    check_reach(
+        recording, scene, replace(source, labels=[names.get(t, "") for t in times.tolist()])
+    )
+    return recording
+
+
+def _text_options(spec: Spec) -> TextOptions:
+    decimal = spec.text("decimal", None)
+    if decimal not in (None, ".", ","):
+        raise spec.wrong("decimal", decimal, "'.' or ','")
+    thousands = spec.character("thousands", None, {"space": " "})
+    delimiter = spec.character("delimiter", None, {"tab": "\t", "space": " ", "\\t": "\t"})
+    if thousands is not None and (thousands == (decimal or ".") or thousands.isalnum()):
+        raise spec.wrong("thousands", thousands, "another sign than the decimal one, no digit")
+    if delimiter is not None and (delimiter.isalnum() or delimiter in "+-."):
+        raise spec.wrong("delimiter", delimiter, "a sign that is in no number")
+    missing = frozenset(str(x).strip().lower() for x in spec.scalars("missing"))
+    options = TextOptions(
+        delimiter=delimiter,
+        skip=spec.whole("skip_rows", None),
+        header=spec.flag("header", True),
+        numbers=NumberFormat(decimal, thousands, missing),
+        encoding=spec.text("encoding", None),
+    )
+    spec.done()
+    return options
+
+
+def _tip(table: Table, spec: Spec, clock: Clock, scene):
+    part = spec.table("tip")
+    own = part.table("time", required=False)
+    clock = Clock(table, own) if own.content else clock
+    columns = part.texts("columns", 3, required=False)
+    markers = part.get("markers", list, "a list of lists of 3 column names", None, False)
+    if (columns is None) == (markers is None):
+        raise RecordingError(f"{part.where}columns or {part.where}markers: one of them is needed")
+    missing = part.scalars("missing")
+    turn = axes_matrix(part.text("axes", "x,y,z"), part.where)
+    origin, rest = part.vector("origin", required=False), part.flag("rest")
+    if origin is not None and rest:
+        raise RecordingError(f"{part.where}origin and {part.where}rest: one of them is too much")
+    triples = markers or [columns]
+    for names in triples:
+        if not (isinstance(names, list) and len(names) == 3 and all(
+            isinstance(name, str) for name in names
+        ) and any(names)):  # fmt: skip
+            raise part.wrong("markers", names, "3 column names, at least one not empty")
+    found = [[table.find(name, "tip") if name else "" for name in names] for names in triples]
+    unit = factor(table, part, "length", [name for names in found for name in names if name])
+    part.done()
+    place = lambda names: _place(table, names, missing, unit, turn)
+    placed = [place(names) for names in found]
+    count = len(placed[0])
+    clock = clock.of(count, next(name for name in found[0] if name))
+    labels = [table.row(k, count) for k in range(count)]
+    if any(len(p) != count for p in placed):
+        raise RecordingError(
+            f"{part.where}markers: their columns have different numbers of samples"
+        )
+    check_one_body(table.path, np.stack(placed, axis=1), [names[0] for names in found], scene)
+    seen, meant = [], []
+    for marker in spec.tables("base_markers"):
+        names = [table.find(name, "base") for name in marker.texts("columns", 3)]
+        seen.append(place(names))
+        meant.append(marker.vector("position"))
+        marker.done()
+        if len(seen[-1]) != count:
+            raise RecordingError(
+                f"{marker.where}columns: {len(seen[-1])} samples, the tip has {count}"
+            )
+    notes = []
+    always = origin is None and not rest and not seen and base_is_zero(scene)
+    for several in (placed, seen):
+        for k, p in enumerate(several):
+            several[k], note = at_zero(p, always=always)
+            notes += note
+    there = ~np.isnan(clock)
+    tip, seen = np.mean(placed, axis=0)[there], [s[there] for s in seen]
+    if seen:
+        tip, note = from_base_markers(tip, seen, meant, spec.where)
+        notes += note
+    elif origin is not None:
+        tip = tip - turn @ (unit * origin)
+    if rest:
+        tip, note = from_rest(tip, scene, table.path)
+        notes.append(note)
+    now = next(name for name, size in units.UNITS["length"].items() if np.isclose(size, unit))
+    source = Source(
+        [label for label, use in zip(labels, there, strict=True) if use],
+        f"columns {', '.join(name or '(none)' for name in found[0])}",
+        unit="[tip] unit",
+        origin=None if rest or seen else "[tip] rest = true, or the clamp as [tip] origin",
+        now=now,
+    )
+    return tip, clock[there], notes, not rest, source
+
+
+def _place(table: Table, names, missing, unit, turn) -> np.ndarray:
+    """A marker (T, 3) [m] in the scene's axes; NaN where it, or a coordinate, was not seen."""
+    count = len(table.columns[next(name for name in names if name)])
+    if any(name and len(table.columns[name]) != count for name in names):
+        raise RecordingError(f"{table.path}: columns {', '.join(names)}: have different lengths")
+    leave = "leave the cell empty if the sample is missing, or name its text in [csv] missing"
+    xyz = np.full((count, 3), np.nan)
+    for i, name in enumerate(names):
+        if name:
+            values = table.numbers(name, leave)
+            marks = [m for m in missing if not isinstance(m, str)]
+            xyz[:, i] = np.where(np.isin(values, marks), np.nan, values)
+    # The matrix has one entry in each row: NaN times zero must not spread to other axes.
+    return unit * np.stack([sign * xyz[:, i] for i, sign in _picked(turn)], axis=1)
+
+
+def _picked(turn):
+    return [(int(np.argmax(np.abs(row))), float(np.sum(row))) for row in turn]
+
+
+def _input(table: Table, part: Spec, kind: str, clock: Clock):
+    """Name, times and values [SI] of one actuator, without missing samples; labels, time's key."""
+    own = part.table("time", required=False)
+    clock = Clock(table, own) if own.content else clock
+    name = table.find(part.text("column"))
+    values = table.numbers(name, f"inputs are needed in every row: {_FILL}")
+    times = clock.of(len(values), name)
+    given = part.number("scale", None)
+    scale, offset = 1.0 if given is None else given, part.number("offset", 0.0)
+    values = factor(table, part, kind, [name], given is not None) * scale * (values + offset)
+    part.done()
+    there = ~np.isnan(times)
+    for k in np.flatnonzero(there & ~np.isfinite(values))[:1]:
+        raise RecordingError(
+            f"{table.path}: {table.row(k, len(values))}, column {name}: missing; inputs are "
+            f"needed in every row (only the tip may be missing): {_FILL}"
+        )
+    if not np.any(there):
+        raise RecordingError(f"{table.path}: column {name}: no sample has a time")
+    labels = [table.row(k, len(values)) for k in np.flatnonzero(there)]
+    return name, times[there], values[there], labels, f"{part.where}time."
+
+
+def _check_counts(mapping, inputs, scene) -> None:
+    for name, part in (("tensions", "tendons"), ("pressures", "chambers")):
+        actuators = getattr(scene, part)
+        count = 0 if actuators is None else actuators.count
+        given = len(inputs[name])
+        if given not in (0, count):
+            raise RecordingError(
+                f"{mapping}: {name}: {given} given, and the scene has {count} {part}; one for each "
+                "is needed"
+            )
+
+
+def _clocks_of(path, clock, tip, inputs):
+    """Where inputs are not known, and notes."""
+    gaps, notes = [], []
+    known = clock[np.any(np.isfinite(tip), axis=1)]
+    if not len(known):
+        return (), ()
+    interval = float(np.median(np.diff(known))) if len(known) > 1 else 0.0
+    for parts in inputs.values():
+        whole = max((np.ptp(values) for _, _, values, *_ in parts), default=0.0)
+        for name, times, values, _, key in parts:
+            notes += check_overlap(path, name, times, known, key)
+            found = find_gaps(times, values, name, whole, interval)
+            gaps += found.open
+            notes += found.notes
+    return tuple(sorted(set(gaps))), notes
+
+
+def _merged(path, clock, tip, inputs):
+    """One clock for all: every time at which anything was sampled. Inputs change linearly."""
+    others = [times for parts in inputs.values() for _, times, *_ in parts]
+    times = np.unique(np.concatenate([clock, *others]))
+    all_tips = np.full((len(times), 3), np.nan)
+    all_tips[np.searchsorted(times, clock)] = tip
+    clipped = ()
+    tensions = inputs["tensions"]
+    if tensions:
+        where = lambda i, k: f"{path}: {tensions[i][3][k]}, column {tensions[i][0]}"
+        values, clipped = without_noise_below_zero([x[2] for x in tensions], where)
+        tensions = [(x[0], x[1], v) for x, v in zip(tensions, values, strict=True)]
+        inputs = {**inputs, "tensions": tensions}
+    columns = {
+        name: np.stack([np.interp(times, x[1], x[2]) for x in parts], axis=1) if parts else None
+        for name, parts in inputs.items()
+    }
+    return times, all_tips, columns, clipped

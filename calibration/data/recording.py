@@ -1,0 +1,123 @@
+"""Recordings of a robot: what was done to it and where its tip went.
+
+SI units; a sample of the tip that is missing is NaN. `calibration.data.loading` reads them from
+files.
+"""
+
+import csv
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from os import PathLike
+
+import numpy as np
+
+from softrod_jax.foundation.whole_files import whole_file
+
+# The columns of the tip in a log.
+TIP_COLUMNS = ["tip_x_m", "tip_y_m", "tip_z_m"]
+
+
+class RecordingError(ValueError):
+    """A recording that cannot be used: the message names file, row, column, value and remedy."""
+
+
+@dataclass(frozen=True, eq=False)
+class Recording:
+    """One experiment, sampled at `times`.
+
+    - `times` [s], (T,), strictly increasing; the recording's own clock.
+    - `tensions` [N], (T, tendons), or None if the recording has none.
+    - `pressures` [Pa], (T, chambers), or None if the recording has none.
+    - `tip_positions` [m], (T, 3), in the scene's frame; NaN where a coordinate is missing. One that
+      is NaN throughout was not measured: a camera sees two.
+    - `name`: short, for plots and reports. `source`: the file, or how it was made.
+    - `origin_known`: False if the file does not say where the clamp is, so that the tip was
+      put in place by its rest position; only its displacement is then a measurement.
+    - `notes`: what the reader had to assume.
+    - `starts_hanging`: whether the rod begins in equilibrium under the first inputs, and not
+      straight; None: told by the tip before it first moves (`calibration.experiment.beginning`).
+    - `gaps` [s]: pairs (start, end) in which the inputs are not known, though they were moving: a
+      fit uses what comes before (`calibration.data.clocks`).
+    - `conditions`: values of parameters in which this experiment differs from the scene, by name
+      (`calibration.parameters.catalogue`), such as {"payload_mass": 0.052}.
+    """
+
+    times: np.ndarray
+    tensions: np.ndarray | None
+    pressures: np.ndarray | None
+    tip_positions: np.ndarray
+    name: str = "recording"
+    source: str = ""
+    origin_known: bool = True
+    notes: tuple[str, ...] = ()
+    starts_hanging: bool | None = None
+    conditions: Mapping[str, float] = field(default_factory=dict)
+    gaps: tuple[tuple[float, float], ...] = ()
+
+    @property
+    def coordinates(self) -> np.ndarray:
+        """(3,) bool: the coordinates of the tip that were measured at all."""
+        return np.any(np.isfinite(self.tip_positions), axis=0)
+
+    @property
+    def has_tip(self) -> np.ndarray:
+        """(T,) bool: whether the sample has all coordinates of the tip that were measured."""
+        measured = self.coordinates
+        if not np.any(measured):
+            return np.zeros(len(self.tip_positions), dtype=bool)
+        return np.all(np.isfinite(self.tip_positions[:, measured]), axis=1)
+
+    @property
+    def track(self) -> tuple[np.ndarray, np.ndarray]:
+        """Times (K,) and tip (K, 3) of the samples that have it; zero in coordinates that were not
+        measured."""
+        known = self.has_tip
+        tip = np.where(self.coordinates, self.tip_positions[known], 0.0)
+        return self.times[known], tip
+
+    def window(self, start: float, end: float) -> "Recording":
+        """The samples with start <= time <= end [s], on the same clock.
+
+        Raises `RecordingError` if fewer than two are left.
+        """
+        keep = (self.times >= start) & (self.times <= end)
+        if np.count_nonzero(keep) < 2:
+            raise RecordingError(
+                f"{self.source or self.name}: the window {start:g} to {end:g} s holds fewer than "
+                f"two samples; the recording runs from {self.times[0]:g} to {self.times[-1]:g} s"
+            )
+        return replace(
+            self,
+            times=self.times[keep],
+            tensions=None if self.tensions is None else self.tensions[keep],
+            pressures=None if self.pressures is None else self.pressures[keep],
+            tip_positions=self.tip_positions[keep],
+            gaps=tuple(g for g in self.gaps if g[0] < end and g[1] > start),
+        )
+
+
+def write_log(
+    path: str | PathLike, times, tensions=None, pressures=None, tip_positions=None
+) -> None:
+    """Write a CSV log that `read_log` reads back bit by bit.
+
+    `times` [s] (T,), `tensions` [N] (T, tendons), `pressures` [Pa] (T, chambers) and
+    `tip_positions` [m] (T, 3), NaN where missing; columns of what is `None` are left out.
+    Raises `OSError` if the file cannot be written, which then stays as it was.
+    """
+    header, columns = ["t_s"], [np.reshape(times, (-1, 1))]
+    if tensions is not None:
+        header += [f"tau{i + 1}_N" for i in range(np.shape(tensions)[1])]
+        columns.append(tensions)
+    if pressures is not None:
+        header += [f"p{i + 1}_Pa" for i in range(np.shape(pressures)[1])]
+        columns.append(pressures)
+    if tip_positions is not None:
+        header += TIP_COLUMNS
+        columns.append(tip_positions)
+    table = np.hstack([np.asarray(c, dtype=np.float64) for c in columns]).tolist()
+    with whole_file(path, newline="", encoding="utf-8") as file:
+        writer = csv.writer(file, lineterminator="\n")
+        writer.writerow(header)
+        writer.writerows([["" if math.isnan(x) else repr(x) for x in row] for row in table])

@@ -1,0 +1,105 @@
+"""How a recording with inputs begins: straight, or in equilibrium under its loads.
+
+A simulation starts from one of them, and a log does not say from which. Two things tell: where the
+tip is at first, by all samples before it first moves, and whether it rests there although loads
+act. A marker is seldom quite where it is said to be, and a stiffness is not known beforehand, so
+that neither is asked for more than it can tell.
+"""
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+
+import softrod_jax as sr
+from calibration.data.frames import straight_tip
+from calibration.data.onset import start_position, white_noise
+from calibration.data.recording import Recording
+from calibration.experiment.setup import rotated
+
+# A tip this part of the length from the straight rod's may be the straight one's, seen by a marker
+# that is off; from the second on it is certainly not.
+_NEAR, _FAR = 0.02, 0.1
+# Which part of the way to the equilibrium, as linear theory has it with the scene's values, a tip
+# must be to be taken for one that hangs: if it rests, and if it moves from the start.
+_PART_RESTING, _PART_MOVING = 0.1, 0.25
+# Deflections do not grow beyond this part of the length, whatever linear theory says.
+_LARGEST = 0.6
+# A deflection below so many standard deviations of the noise, of so many samples, is not seen.
+_SIGMAS, _FEW = 4.0, 20
+
+
+def hangs(scene: sr.Scene, recording: Recording) -> bool:
+    """Whether the rod begins in equilibrium under its loads, and not straight."""
+    if recording.starts_hanging is not None:
+        return recording.starts_hanging
+    inputs = [x for x in (recording.tensions, recording.pressures) if x is not None]
+    if not inputs or np.count_nonzero(recording.has_tip) < 3:
+        return False
+    start, rests = start_position(recording)
+    seen = recording.coordinates
+    moved = np.where(seen, start - straight_tip(scene), 0.0) / float(scene.length)
+    away = float(np.linalg.norm(moved))
+    if away > _FAR:
+        return True
+    expected = np.where(seen, _linear_deflection(scene, recording), 0.0) / float(scene.length)
+    size = float(np.linalg.norm(expected))
+    if size == 0:
+        return away > _NEAR
+    if size > _LARGEST:
+        expected, size = expected * _LARGEST / size, _LARGEST
+    if rests and size < _NEAR:
+        # Either place could be meant; not in equilibrium it would not rest.
+        return True
+    noise = white_noise(recording.track[1][:_FEW])
+    if not rests and size * float(scene.length) < _SIGMAS * noise:
+        # No place could tell, and what rings then is no larger than the noise.
+        return False
+    part = float(moved @ expected) / size**2
+    return part > (_PART_RESTING if rests else _PART_MOVING)
+
+
+def beginning(recording: Recording, hanging: bool) -> str:
+    """What is assumed of how a recording begins, in words."""
+    if recording.tensions is None and recording.pressures is None:
+        return "straight, held until it is let go"
+    told = "" if recording.starts_hanging is None else ", as it was told"
+    if hanging:
+        return f"in equilibrium under its first inputs{told}"
+    return f"straight and at rest, all loads acting from then on{told}"
+
+
+def _linear_deflection(scene: sr.Scene, recording: Recording) -> Float[np.ndarray, "3"]:
+    """Of the tip [m] under all loads and the first inputs, by linear beam theory, in the base
+    frame."""
+    L = float(scene.length)
+    A = float(scene.section.area)
+    EI = float(scene.young_modulus) * np.asarray(scene.section.second_moments)
+    EA = float(scene.young_modulus) * A
+    h = None if scene.base_quaternion is None else np.asarray(scene.base_quaternion)
+
+    def seen(vector, turn):
+        """In the frame of the clamp (-1), or back in the base frame (1)."""
+        vector = jnp.zeros(3) if vector is None else jnp.asarray(vector, dtype=float)
+        own = None if h is None else jnp.array(h * [1, turn, turn, turn])
+        return np.asarray(vector if own is None else rotated(own, vector))
+
+    gravity = seen(scene.gravity, -1)
+    weight = float(scene.density) * A * L * gravity
+    mass = 0.0 if scene.payload is None else float(scene.payload.mass)
+    tip = mass * gravity
+    moment = np.zeros(2)  # that bends towards x and y
+    if scene.tip_load is not None:
+        couple = seen(scene.tip_load.moment, -1)
+        tip, moment = tip + seen(scene.tip_load.force, -1), moment + [couple[1], -couple[0]]
+    for part, inputs, sign in (
+        (scene.tendons, recording.tensions, -1.0),
+        (scene.chambers, recording.pressures, 1.0),
+    ):
+        if part is not None and inputs is not None:
+            pull = sign * np.asarray(inputs[0])
+            pull = pull * np.asarray(part.areas) if sign > 0 else pull
+            tip = tip + [0.0, 0.0, np.sum(pull)]
+            moment = moment - pull @ np.asarray(part.offsets)
+    # I_y bends towards x, I_x towards y.
+    bend = (weight[:2] * L**3 / 8 + tip[:2] * L**3 / 3 + moment * L**2 / 2) / EI[::-1]
+    return seen(np.append(bend, (weight[2] / 2 + tip[2]) * L / EA), 1)

@@ -1,0 +1,86 @@
+"""A scene and what surrounds it in an experiment: how inputs arrive, the clamp, the sensor.
+
+A scene describes the robot. A recording is also shaped by the bench it was made on, and a fit
+that ignores the bench pushes its errors into the material. What is `None` is not computed.
+"""
+
+import equinox as eqx
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+import softrod_jax as sr
+
+
+class Setup(eqx.Module):
+    """What a recording's simulation is made from; a pytree, any number of which can be fitted.
+
+    - `scene`: the robot.
+    - `tendon_efficiency` [1], (tendons,): tension that arrives / tension commanded.
+    - `release_duration` [s]: how long a hand takes to let go, see `calibration.experiment.release`;
+      of recordings without inputs only.
+    - `sensor_offset` [m], (3,): the marker seen from the tip, in the tip's own frame.
+    - `payload_offset` [m], (3,): the payload's centre seen from the middle of the tip, in the frame
+      of the straight rod's end. Of it only the moment of the weight is simulated, constant.
+    - `gravity_tilt` [rad], (3,): rotation vector that turns the scene's gravity.
+    - `clamp_rotation` [rad], (3,), and `clamp_shift` [m], (3,): how the clamp's pose differs from
+      the scene's, in the base frame.
+    """
+
+    scene: sr.Scene
+    tendon_efficiency: Float[Array, "tendons"] | None = None
+    release_duration: Float[Array, ""] | None = None
+    sensor_offset: Float[Array, "3"] | None = None
+    payload_offset: Float[Array, "3"] | None = None
+    gravity_tilt: Float[Array, "3"] | None = None
+    clamp_rotation: Float[Array, "3"] | None = None
+    clamp_shift: Float[Array, "3"] | None = None
+
+    def simulated_scene(self) -> sr.Scene:
+        """The scene with gravity and clamp as they are in this experiment."""
+        scene = self.scene
+        changes = {}
+        if self.gravity_tilt is not None:
+            changes["gravity"] = rotated(_quaternion(self.gravity_tilt), scene.gravity)
+        if self.clamp_rotation is not None:
+            turned = _quaternion(self.clamp_rotation)
+            was = scene.base_quaternion
+            changes["base_quaternion"] = turned if was is None else _product(turned, was)
+        if self.clamp_shift is not None:
+            was = scene.base_position
+            changes["base_position"] = self.clamp_shift if was is None else was + self.clamp_shift
+        if self.payload_offset is not None:
+            weight = self.scene.payload.mass * changes.get("gravity", scene.gravity)
+            base = changes.get("base_quaternion", scene.base_quaternion)
+            arm = self.payload_offset if base is None else rotated(base, self.payload_offset)
+            load = sr.TipLoad() if scene.tip_load is None else scene.tip_load
+            moment = jnp.cross(arm, weight) + (0.0 if load.moment is None else load.moment)
+            changes["tip_load"] = sr.TipLoad(load.force, moment)
+        for name, value in changes.items():
+            scene = eqx.tree_at(
+                lambda s, name=name: getattr(s, name), scene, value, is_leaf=lambda x: x is None
+            )
+        return scene
+
+    def arriving(self, tensions: Float[Array, "*rows tendons"] | None):
+        """The tensions [N] that reach the robot when `tensions` [N] are commanded."""
+        if tensions is None or self.tendon_efficiency is None:
+            return tensions
+        return tensions * self.tendon_efficiency
+
+
+def rotated(h: Float[Array, "*n 4"], a: Float[Array, "*n 3"]) -> Float[Array, "*n 3"]:
+    """`a` turned by the unit quaternion `h` (w, x, y, z)."""
+    w, r = h[..., :1], h[..., 1:]
+    return a + 2 * jnp.cross(r, jnp.cross(r, a) + w * a)
+
+
+def _quaternion(rotation: Float[Array, "3"]) -> Float[Array, "4"]:
+    """Of a rotation vector [rad], below half a turn."""
+    # The square root has no derivative at 0; a nanoradian changes nothing.
+    angle = jnp.sqrt(jnp.sum(rotation**2) + 1e-18)
+    return jnp.concatenate([jnp.cos(angle / 2)[None], jnp.sin(angle / 2) / angle * rotation])
+
+
+def _product(a: Float[Array, "4"], b: Float[Array, "4"]) -> Float[Array, "4"]:
+    w = a[0] * b[0] - jnp.dot(a[1:], b[1:])
+    return jnp.concatenate([w[None], a[0] * b[1:] + b[0] * a[1:] + jnp.cross(a[1:], b[1:])])

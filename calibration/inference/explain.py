@@ -1,0 +1,289 @@
+"""What else would explain the residuals: parameters that were not fitted, one after the other.
+
+At the optimum the sensitivities to further parameters say, to first order, by how much each would
+lower the sum of squares if it were fitted, too, and to what value it would go. One evaluation tells
+of all of them. Where a large part of the residuals goes away, the model leaves something out that
+looks like that parameter; it need not be it.
+
+How long a hand took to let go (`calibration.experiment.release`) does not show like that: to first
+order, a release that is slow is one that is late, which the clock has taken up. A few durations are
+simulated, and a fit goes on from the most promising.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from calibration.data.recording import Recording
+from calibration.experiment.setup import Setup
+from calibration.parameters.catalogue import catalogue
+from calibration.parameters.scales import Factor
+from calibration.parameters.unknowns import choose_unknowns
+from calibration.problem.problem import Point, Problem
+from calibration.search.optimise import levenberg_marquardt
+from calibration.search.progress import Report
+
+_GROUPS = (
+    "poisson_ratio",
+    "density",
+    "length",
+    "shear_damping",
+    "drag_coefficient",
+    "bending_damping",
+    "payload_mass",
+    "payload_offset",
+    "tendon_efficiency_each",
+    "tendon_position",
+    "chamber_area",
+    "chamber_position",
+    "sensor_offset",
+    "gravity_tilt",
+    "clamp_rotation",
+)
+_RELEASE = "release_duration"
+_DURATIONS = (0.003, 0.03, 0.06, 0.1, 0.15)  # s: none to speak of, up to a slow hand
+_ITERATIONS = 8
+# What may differ from recording to recording though it is the rod's.
+_OF_EACH = ("bending_damping", "young_modulus")
+# A viscous damping is the same at all frequencies, and that of a loss which does not grow with
+# frequency falls with its first power; between these powers it is told. Frequencies whose ratio is
+# less than this do not tell.
+_FALLS, _APART = (0.3, 1.7), 1.2
+# A parameter that would take away this part of the residuals (rms) is worth a remark.
+TELLING = 0.15
+
+
+@dataclass(frozen=True)
+class Explanation:
+    """One further parameter, or a group of them.
+
+    - `rms` [m]: what would be left if it were fitted, too; to first order, but for
+      release_duration, which is fitted for a few iterations.
+    - `values`: what its members would change to, by name, and their `units`.
+    - `reading`: what that may mean, or "".
+    """
+
+    name: str
+    rms: float
+    values: dict[str, float]
+    units: dict[str, str]
+    reading: str = ""
+
+
+def explain(
+    best: Point,
+    recordings: Sequence[Recording],
+    labels: Sequence[str],
+    per_recording: Sequence[str],
+    bounds: Mapping,
+    report: Report,
+) -> list[Explanation]:
+    """Of every parameter that could be fitted and was not, the most telling first.
+
+    `best`: where the fit of `recordings` ended, with `labels`, `per_recording` and `bounds` as it
+    had them; `report` is told of further simulations.
+    """
+    wider = _Wider(best, recordings, labels, tuple(per_recording), bounds)
+    found = [*_to_first_order(wider), *_of_each(wider), *_slow_release(wider, report)]
+    return sorted(found, key=lambda e: e.rms)
+
+
+@dataclass(frozen=True)
+class _Wider:
+    """The fit that ended at `best`, to which parameters can be added."""
+
+    best: Point
+    recordings: Sequence[Recording]
+    labels: Sequence[str]
+    per_recording: tuple[str, ...]
+    bounds: Mapping
+
+    def by(self, names, of_each=()) -> tuple[Problem, np.ndarray, list[int]]:
+        """The problem with `names` as well, those in `of_each` by recording; x at the best place,
+        and which of its entries were fitted there."""
+        problem = self.best.problem
+        names = [*problem.unknowns.names, *names]
+        own = (*self.per_recording, *of_each)
+        setup, unknowns = choose_unknowns(
+            problem.scene,
+            self.recordings,
+            self.labels,
+            names,
+            own,
+            self.bounds,
+            places=problem.batch.conditions,
+        )
+        wider = replace(problem, setup=setup, unknowns=unknowns)
+        place = {u.label: i for i, u in enumerate(unknowns.items)}
+        x = wider.start()
+        old = [place[u.label] for u in problem.unknowns.items]
+        old += list(range(wider.size, len(x)))
+        x[old] = self.best.x
+        return wider, x, old
+
+
+def _to_first_order(wider: _Wider) -> list[Explanation]:
+    problem = wider.best.problem
+    scene, fitted = problem.scene, problem.unknowns.names
+    candidates = {g: m for g in _GROUPS if (m := _members(scene, problem, g, fitted))}
+    if not candidates:
+        return []
+    many, x, old = wider.by([n for members in candidates.values() for n in members])
+    point = many.at(x)
+    if not point.ok:
+        return []
+    found = []
+    for group, members in candidates.items():
+        items = many.unknowns.items
+        new = [i for i, u in enumerate(items) if u.parameter.name in members]
+        columns = old + new
+        step, loss = _step(point.jacobian[:, columns], point.residuals)
+        moved = dict(zip(columns, step, strict=True))
+        values, units = {}, {}
+        for i in new:
+            _, change = items[i].parameter.scale.limited(moved[i])
+            values[items[i].label] = float(np.max(items[i].value(change)))
+            units[items[i].label] = items[i].parameter.unit
+        found.append(Explanation(group, float(np.sqrt(loss / problem.samples)), values, units))
+    return found
+
+
+def _of_each(wider: _Wider) -> list[Explanation]:
+    """What recordings share, as if each had its own; to first order, without a simulation."""
+    best, found = wider.best, []
+    problem, many = best.problem, len(best.problem.clocks)
+    J = best.jacobian.reshape(many, -1, best.x.size)
+    for i, item in enumerate(problem.unknowns.items):
+        if many < 2 or item.parameter.name not in _OF_EACH or item.recording is not None:
+            continue
+        own = np.zeros((*J.shape[:2], many))
+        own[range(many), :, range(many)] = J[:, :, i]
+        others = np.delete(J, i, axis=2)
+        columns = np.concatenate([own, others], axis=2).reshape(best.residuals.size, -1)
+        step, loss = _step(columns, best.residuals)
+        thetas = [best.x[i] + item.parameter.scale.limited(s)[1] for s in step[:many]]
+        values = [float(np.max(item.value(theta))) for theta in thetas]
+        labels = [f"{item.label}@{wider.labels[k]}" for k in range(many)]
+        found.append(
+            Explanation(
+                f"{item.label} of each recording",
+                float(np.sqrt(loss / problem.samples)),
+                dict(zip(labels, values, strict=True)),
+                dict.fromkeys(labels, item.parameter.unit),
+                _loss_law(problem, best.x, values) if item.label == "bending_damping" else "",
+            )
+        )
+    return found
+
+
+def _loss_law(problem: Problem, x, dampings: list[float]) -> str:
+    """What dampings of recordings that ring at different frequencies say of the material."""
+    rings = [_frequency(problem.fitted_setup(x, k).scene) for k in range(len(dampings))]
+    slow, quick = int(np.argmin(rings)), int(np.argmax(rings))
+    ratio = rings[quick] / rings[slow]
+    if ratio < _APART:
+        return ""
+    falls = np.log(dampings[slow] / dampings[quick]) / np.log(ratio)
+    if not _FALLS[0] < falls < _FALLS[1]:
+        return ""
+    return (
+        f"the damping falls as the frequency grows, from {rings[slow]:.3g} to {rings[quick]:.3g} "
+        f"Hz, by its power {falls:.1f}: as of a material whose loss does not grow with frequency "
+        "(power 1), or grows less than that of a viscous one (power 0), which is simulated"
+    )
+
+
+def _frequency(scene) -> float:
+    """At which a cantilever with a weight at its tip rings [Hz], by its first bending mode."""
+    L, mass = float(scene.length), 0.2427 * float(scene.density * scene.section.area)
+    mass = mass * L + (0.0 if scene.payload is None else float(scene.payload.mass))
+    stiffness = 3 * float(scene.young_modulus) * float(np.min(scene.section.second_moments)) / L**3
+    return float(np.sqrt(stiffness / mass) / (2 * np.pi))
+
+
+def _slow_release(wider: _Wider, report: Report) -> list[Explanation]:
+    """Nothing if the recordings are no releases, or it was fitted or is known."""
+    problem, batch = wider.best.problem, wider.best.problem.batch
+    known, _ = catalogue(problem.scene)
+    told = _RELEASE in problem.unknowns.names or _RELEASE in batch.conditions
+    inputs = batch.tensions is not None or batch.pressures is not None
+    if told or inputs or _RELEASE not in known:
+        return []
+    many, x, _ = wider.by([_RELEASE], of_each=[_RELEASE])
+    own = [i for i, u in enumerate(many.unknowns.items) if u.parameter.name == _RELEASE]
+    points = [many.at(_released_in(many, x, own, duration)) for duration in _DURATIONS]
+    for point in points:
+        report(point)
+    points = [point for point in points if point.ok]
+    if not points:
+        return []
+    mixed = x.copy()
+    for recording, k in enumerate(_best_mix(points)):
+        of_it = [own[recording]] + [many.size + recording] * many.time_offset
+        mixed[of_it] = points[k].x[of_it]
+    start = many.at(mixed)
+    report(start)
+    end = levenberg_marquardt(many, start, _ITERATIONS, report).best
+    items = [many.unknowns.items[i] for i in own]
+    values = {u.label: float(u.value(end.x[i])) for i, u in zip(own, items, strict=True)}
+    units = {u.label: u.parameter.unit for u in items}
+    return [Explanation(_RELEASE, end.rms, values, units)] if end.ok else []
+
+
+def _released_in(many: Problem, x, own: list[int], duration: float) -> np.ndarray:
+    """x with that duration [s] of every release; half of it is a delay, which goes."""
+    x = x.copy()
+    for i in own:
+        item = many.unknowns.items[i]
+        x[i] = item.parameter.scale.theta(item.initial, duration)
+    if many.time_offset:
+        x[many.delays] -= np.array([duration / 2 / c.interval for c in many.clocks])
+    return x
+
+
+def _best_mix(points: list[Point]) -> list[int]:
+    """Which point to take for each recording, so that one Gauss-Newton step of all unknowns
+    leaves least: one recording after the other, until none changes."""
+    many = len(points[0].problem.clocks)
+    J = [p.jacobian.reshape(many, -1, p.x.size) for p in points]
+    r = [p.residuals.reshape(many, -1) for p in points]
+
+    def left(mix):
+        jacobian = np.concatenate([J[k][i] for i, k in enumerate(mix)])
+        return _step(jacobian, np.concatenate([r[k][i] for i, k in enumerate(mix)]))[1]
+
+    mix, before = [0] * many, None
+    while mix != before:
+        before = mix
+        for i in range(many):
+            tries = [[*mix[:i], k, *mix[i + 1 :]] for k in range(len(points))]
+            mix = min(tries, key=left)
+    return mix
+
+
+def _members(scene, problem, group, fitted) -> tuple[str, ...]:
+    """What of `group` can be fitted and is not."""
+    known, groups = catalogue(scene)
+    if group == "gravity_tilt" and scene.gravity is None:
+        return ()
+    members = []
+    for name in groups.get(group, (group,)):
+        if name in fitted or name not in known:
+            continue
+        parameter = known[name]
+        value = parameter.get(parameter.prepare(Setup(scene)))
+        conditions = problem.batch.conditions.get(name, 0.0)
+        there = value is not None and (np.any(np.asarray(value)) or np.any(conditions))
+        if value is not None and (there or not isinstance(parameter.scale, Factor)):
+            members.append(name)
+    return tuple(members)
+
+
+def _step(J: np.ndarray, r: np.ndarray) -> tuple[np.ndarray, float]:
+    """The Gauss-Newton step in the columns of `J`, and the loss it promises."""
+    size = np.sqrt(np.sum(J**2, axis=0)) + 1e-300
+    # Directions that do nothing are left alone.
+    step, *_ = np.linalg.lstsq(J / size, -r, rcond=1e-4)
+    step = step / size
+    return step, float(np.sum((r + J @ step) ** 2))

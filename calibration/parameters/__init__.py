@@ -1,0 +1,1 @@
+"""What can be fitted, on which scale, and which of it a call asks for."""

@@ -1,0 +1,233 @@
+"""What can be fitted: numbers of a scene and of the bench around it, each with unit and scale.
+
+An optimiser sees one coordinate theta for each parameter, see `calibration.parameters.scales`. A
+damping or drag of x, y and z is scaled as a whole: one recording seldom tells its components apart.
+The others with components are fitted one by one: `sensor_offset` stands for `sensor_offset_x`,
+`sensor_offset_y` and `sensor_offset_z`, `tendon_efficiency_1` is that of the first tendon.
+"""
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+
+import softrod_jax as sr
+from calibration.experiment.setup import Setup
+from calibration.parameters.scales import Between, Factor, Scale, Shift
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """One number, or several that are scaled together.
+
+    - `find`: the array it is in, in a `Setup`; `index` in that array, None for all of it.
+    - `make`: puts the array into a setup that has none, at values that change nothing; None if
+      the scene must have it.
+    - `remedy`: what to add to a scene that lacks it.
+    - `allowed`: whether a setup's value can be; None if every one of its scale can.
+    """
+
+    name: str
+    unit: str
+    find: Callable
+    scale: Scale = Factor()
+    index: int | tuple[int, ...] | None = None
+    make: Callable | None = None
+    remedy: str = ""
+    allowed: Callable | None = None
+
+    def get(self, setup: Setup):
+        """The value in `setup`; None if it has none."""
+        array = self.find(setup)
+        return array if array is None or self.index is None else array[self.index]
+
+    def put(self, setup: Setup, value) -> Setup:
+        """The setup with another value."""
+        if self.index is not None:
+            value = self.find(setup).at[self.index].set(value)
+        return eqx.tree_at(self.find, setup, value)
+
+    def prepare(self, setup: Setup) -> Setup:
+        """The setup with the array there, at values that change nothing."""
+        return setup if self.find(setup) is not None or self.make is None else self.make(setup)
+
+
+DEFAULT = ("young_modulus", "bending_damping", "drag_coefficient")
+# What matters of a place on the bench, of one in the section, and of an angle.
+_ON_THE_BENCH = Shift(1e-3)  # m
+_IN_THE_SECTION = Shift(2e-4)  # m
+_RELEASE = 0.03  # s, where the search for a release's duration starts
+_ANGLE = Shift(float(np.pi / 180))  # rad
+
+
+def _scene(name: str) -> Callable:
+    return lambda setup: getattr(setup.scene, name)
+
+
+def _part(part: str, name: str) -> Callable:
+    def find(setup):
+        owner = getattr(setup.scene, part)
+        return None if owner is None else getattr(owner, name)
+
+    return find
+
+
+def _in_section(part: str) -> Callable:
+    """Whether all tendons or chambers of a setup are within the section."""
+
+    def inside(setup: Setup) -> bool:
+        offsets = getattr(setup.scene, part).offsets
+        return bool(np.all(np.asarray(setup.scene.section.contains(offsets))))
+
+    return inside
+
+
+def _maker(find: Callable, value: Callable) -> Callable:
+    """Puts `value()` where `find` finds None."""
+    return lambda setup: eqx.tree_at(find, setup, value(), is_leaf=lambda x: x is None)
+
+
+def catalogue(scene: sr.Scene) -> tuple[dict[str, Parameter], dict[str, tuple[str, ...]]]:
+    """Every parameter of `scene` by name, and groups of them by the name of the group."""
+    tendons = 0 if scene.tendons is None else scene.tendons.count
+    chambers = 0 if scene.chambers is None else scene.chambers.count
+    found = [
+        Parameter("young_modulus", "Pa", _scene("young_modulus")),
+        Parameter(
+            "bending_damping", "N m^2 s", _scene("bending_damping"), remedy="rod.bending_damping"
+        ),
+        Parameter(
+            "drag_coefficient", "kg/m^2", _scene("drag_coefficient"), remedy="rod.drag_coefficient"
+        ),
+        Parameter("shear_damping", "N s", _scene("shear_damping"), remedy="rod.shear_damping"),
+        Parameter("poisson_ratio", "1", _scene("poisson_ratio"), Between(-1.0, 0.5)),
+        Parameter("density", "kg/m^3", _scene("density")),
+        Parameter("length", "m", _scene("length")),
+        Parameter(
+            "shear_correction", "1", _scene("shear_correction"), remedy="rod.shear_correction"
+        ),
+        Parameter(
+            "payload_mass",
+            "kg",
+            _part("payload", "mass"),
+            make=_maker(lambda s: s.scene.payload, lambda: sr.Payload(jnp.zeros(()))),
+            remedy="[payload] mass",
+        ),
+        Parameter("chamber_area", "m^2", _part("chambers", "areas"), remedy="[[chambers]]"),
+        Parameter(
+            "tendon_offset",
+            "m",
+            _part("tendons", "offsets"),
+            remedy="[[tendons]]",
+            allowed=_in_section("tendons"),
+        ),
+    ]
+    groups: dict[str, tuple[str, ...]] = {}
+
+    def add(group, unit, find, scale, indices, make=None, allowed=None):
+        """A parameter for each index: {suffix: index}."""
+        members = [
+            Parameter(f"{group}_{suffix}", unit, find, scale, index, make, allowed=allowed)
+            for suffix, index in indices.items()
+        ]
+        found.extend(members)
+        groups[group] = tuple(p.name for p in members)
+
+    xyz, numbered = {"x": 0, "y": 1, "z": 2}, lambda n: {str(i + 1): i for i in range(n)}
+    places = lambda n: {f"{i + 1}_{a}": (i, j) for i in range(n) for j, a in enumerate("xy")}
+    offsets = _part("tendons", "offsets")
+    if tendons:
+        inside = _in_section("tendons")
+        add("tendon_position", "m", offsets, _IN_THE_SECTION, places(tendons), allowed=inside)
+        efficiency = lambda setup: setup.tendon_efficiency
+        ones = _maker(efficiency, lambda: jnp.ones(tendons))
+        add("tendon_efficiency_each", "1", efficiency, Factor(), numbered(tendons), ones)
+        found.append(Parameter("tendon_efficiency", "1", efficiency, make=ones))
+    if chambers:
+        centres = _part("chambers", "offsets")
+        inside = _in_section("chambers")
+        add("chamber_position", "m", centres, _IN_THE_SECTION, places(chambers), allowed=inside)
+        add("chamber_area_each", "m^2", _part("chambers", "areas"), Factor(), numbered(chambers))
+    if scene.gravity is not None and scene.tendons is None:
+        duration = lambda setup: setup.release_duration
+        make = _maker(duration, lambda: jnp.array(_RELEASE))
+        found.append(Parameter("release_duration", "s", duration, make=make))
+    weighs = scene.payload is not None and scene.gravity is not None
+    for name, unit, scale in (
+        ("sensor_offset", "m", _ON_THE_BENCH),
+        *([("payload_offset", "m", _ON_THE_BENCH)] if weighs else ()),
+        ("gravity_tilt", "rad", _ANGLE),
+        ("clamp_rotation", "rad", _ANGLE),
+        ("clamp_shift", "m", _ON_THE_BENCH),
+    ):
+        if name != "gravity_tilt" or scene.gravity is not None:
+            find = lambda setup, name=name: getattr(setup, name)
+            add(name, unit, find, scale, xyz, _maker(find, lambda: jnp.zeros(3)))
+    return {p.name: p for p in found}, groups
+
+
+def choose(
+    scene: sr.Scene, fit: Iterable[str] | str | None, given: Iterable[str] = ()
+) -> tuple[str, ...]:
+    """The names of the parameters to fit; those of `DEFAULT` that the scene has if None.
+
+    A group is replaced by its members. Values of those in `given` come from recordings, so that
+    the scene's own may be 0. Raises `ValueError` for an unknown name, a repeated one, none at all,
+    and for a parameter that the scene does not have, or that is zero in it and is fitted as a
+    factor, which has nothing to act on.
+    """
+    known, groups = catalogue(scene)
+    if fit is None:
+        return tuple(n for n in DEFAULT if getattr(scene, n) is not None)
+    asked = (fit,) if isinstance(fit, str) else tuple(fit)
+    if not asked:
+        raise ValueError("fit: no parameters; name at least one, or leave it out for the default")
+    if "gravity_tilt" in groups:
+        # A turn about gravity itself changes nothing.
+        along = "xyz"[int(np.argmax(np.abs(np.asarray(scene.gravity))))]
+        groups["gravity_tilt"] = tuple(n for n in groups["gravity_tilt"] if n[-1] != along)
+    names = tuple(n for name in asked for n in groups.get(name, (name,)))
+    for name in names:
+        if names.count(name) > 1:
+            raise ValueError(f"fit: {name!r} is named twice; leave one out")
+        _check(scene, name, name in given)
+    return names
+
+
+def _check(scene: sr.Scene, name: str, may_be_zero: bool) -> None:
+    known, groups = catalogue(scene)
+    if name not in known:
+        raise ValueError(f"fit: unknown parameter {name!r}; known: {', '.join([*known, *groups])}")
+    parameter = known[name]
+    value = parameter.get(parameter.prepare(Setup(scene)))
+    if value is None:
+        raise ValueError(
+            f"fit: the scene has no {name}; give it a starting value > 0 "
+            f"({parameter.remedy} in the scene file), or leave it out of the fit"
+        )
+    if isinstance(parameter.scale, Factor) and not may_be_zero and not np.any(np.asarray(value)):
+        raise ValueError(
+            f"fit: {name} is 0 in the scene and is fitted as a factor of its initial value; "
+            "give it a starting value > 0, or leave it out of the fit"
+        )
+
+
+def with_values(setup: Setup, names: tuple[str, ...], theta) -> Setup:
+    """The setup with the parameters `names` at `theta`, (parameters,)."""
+    known, _ = catalogue(setup.scene)
+    for name, coordinate in zip(names, theta, strict=True):
+        parameter = known[name]
+        value = parameter.scale.value(parameter.get(setup), coordinate)
+        setup = parameter.put(setup, value)
+    return setup
+
+
+def prepared(scene: sr.Scene, names: Iterable[str]) -> Setup:
+    """A setup around `scene` in which every one of `names` has a place."""
+    known, _ = catalogue(scene)
+    setup = Setup(scene)
+    for name in names:
+        setup = known[name].prepare(setup)
+    return setup

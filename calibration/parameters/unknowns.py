@@ -1,0 +1,186 @@
+"""The unknowns of a fit: which parameter, of which recording, between which bounds."""
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+import softrod_jax as sr
+from calibration.data.recording import Recording, RecordingError
+from calibration.experiment.setup import Setup
+from calibration.parameters.catalogue import Parameter, catalogue, choose, prepared
+from calibration.parameters.scales import Factor
+
+
+@dataclass(frozen=True)
+class Unknown:
+    """One coordinate of the search. `recording`: the index it belongs to, None for all.
+
+    `initial`: the value at theta = 0; `low`, `high`: bounds of theta.
+    """
+
+    label: str
+    parameter: Parameter
+    recording: int | None
+    initial: np.ndarray
+    low: float
+    high: float
+
+    def value(self, theta) -> np.ndarray:
+        return np.asarray(self.parameter.scale.value(self.initial, theta))
+
+
+@dataclass(frozen=True)
+class Unknowns:
+    """`names`: the columns of theta as a simulation takes it; `columns`, (recordings, names):
+    the unknown behind each, -1 where there is none and the value is the setup's."""
+
+    names: tuple[str, ...]
+    items: tuple[Unknown, ...]
+    columns: np.ndarray
+
+    def theta(self, x: np.ndarray) -> np.ndarray:
+        """(recordings, names) from the unknowns, the first of `x`."""
+        return np.where(self.columns < 0, 0.0, x[np.maximum(self.columns, 0)])
+
+    def shared(self, x: np.ndarray, recordings: int) -> tuple["Unknowns", np.ndarray]:
+        """For other recordings, so many: of what single ones own, these have the mean in theta.
+        With their own theta, from `x` of the fitted ones."""
+        items, thetas = [], []
+        for name in self.names:
+            of_it = [i for i, u in enumerate(self.items) if u.parameter.name == name]
+            if not of_it:
+                # Every recording's condition is 0, and stays it.
+                continue
+            items.append(replace(self.items[of_it[0]], label=name, recording=None))
+            thetas.append(np.mean(x[of_it]))
+        place = {u.parameter.name: i for i, u in enumerate(items)}
+        columns = np.tile([place.get(name, -1) for name in self.names], (recordings, 1))
+        return Unknowns(self.names, tuple(items), columns), np.array(thetas)
+
+
+def conditioned(setup: Setup, conditions: Mapping[str, float]) -> Setup:
+    """The setup with the values that a recording gives."""
+    known, _ = catalogue(setup.scene)
+    for name, value in conditions.items():
+        setup = known[name].put(setup, value)
+    return setup
+
+
+def choose_unknowns(
+    scene: sr.Scene,
+    recordings: Sequence[Recording],
+    labels: Sequence[str],
+    fit: Sequence[str] | str | None,
+    per_recording: Sequence[str],
+    bounds: Mapping[str, tuple[float, float]],
+    places: Iterable[str] = (),
+) -> tuple[Setup, Unknowns]:
+    """The setup that all recordings share, and the unknowns. The setup has a place for what is
+    fitted, for the recordings' conditions and for the parameters `places`.
+
+    A parameter is one number for all recordings, unless it is among `per_recording` or recordings
+    give it as a condition: then each has its own. One whose condition is 0 keeps it.
+
+    Raises `ValueError` for unknown names and for bounds that are not around the initial value.
+    """
+    every_condition = {name: r for r in recordings for name in r.conditions}
+    check_conditions(scene, recordings)
+    setup = prepared(scene, every_condition)
+    names = choose(setup.scene, fit, every_condition)
+    own = set(choose(setup.scene, per_recording, every_condition)) if per_recording else set()
+    for name in own - set(names):
+        raise ValueError(f"per_recording: {name!r} is not fitted; add it to fit, or leave it out")
+    for name in bounds:
+        if name not in names:
+            raise ValueError(f"bounds: {name!r} is not fitted; add it to fit, or leave it out")
+    setup = prepared(setup.scene, [*every_condition, *names, *places])
+    known, _ = catalogue(setup.scene)
+    items: list[Unknown] = []
+    columns = np.full((len(recordings), len(names)), -1)
+    for j, name in enumerate(names):
+        parameter = known[name]
+
+        def add(label, recording, setup, parameter=parameter, name=name):
+            initial = np.asarray(parameter.get(setup))
+            low, high = _bounds(parameter, initial, bounds.get(name), setup)
+            items.append(Unknown(label, parameter, recording, initial, low, high))
+            return len(items) - 1
+
+        if name not in own and name not in every_condition:
+            columns[:, j] = add(name, None, setup)
+            continue
+        for k, recording in enumerate(recordings):
+            its_own = conditioned(setup, recording.conditions)
+            nothing = not np.any(np.asarray(parameter.get(its_own)))
+            if not (nothing and isinstance(parameter.scale, Factor)):
+                columns[k, j] = add(f"{name}@{labels[k]}", k, its_own)
+    return setup, Unknowns(names, tuple(items), columns)
+
+
+def check_conditions(scene: sr.Scene, recordings: Sequence[Recording]) -> None:
+    """Raises `RecordingError` for a condition that `scene` cannot have."""
+    for recording in recordings:
+        for name in recording.conditions:
+            _check_condition(scene, name, recording)
+
+
+def _check_condition(scene, name, recording):
+    where = recording.source or recording.name
+    known, groups = catalogue(scene)
+    if name not in known:
+        raise RecordingError(f"{where}: condition {name!r} is unknown; known: {', '.join(known)}")
+    value = recording.conditions[name]
+    if not np.isfinite(value):
+        raise RecordingError(f"{where}: condition {name} = {value}: a finite number is needed")
+    setup = known[name].prepare(Setup(scene))
+    now = known[name].get(setup)
+    if now is None:
+        raise RecordingError(
+            f"{where}: condition {name}: the scene has none; add {known[name].remedy} to it"
+        )
+    positive = isinstance(known[name].scale, Factor)
+    if np.ndim(now) or (positive and value < 0):
+        what = "one number at least 0 is needed" if not np.ndim(now) else "has several numbers"
+        raise RecordingError(f"{where}: condition {name} = {value:g}: {what}")
+
+
+def _bounds(parameter, initial, given, setup) -> tuple[float, float]:
+    largest = parameter.scale.largest
+    low, high = (_reach(parameter, initial, setup, end) for end in (-largest, largest))
+    if given is None:
+        return low, high
+    ends = _given_bounds(parameter, initial, given)
+    return max(ends[0], low), min(ends[1], high)
+
+
+_HALVINGS = 40
+
+
+def _reach(parameter: Parameter, initial, setup: Setup, end: float) -> float:
+    """How far theta may go towards `end` for the parameter to stay what it can be, such as a
+    tendon within the section; all the way if it is not there from the start."""
+    allowed = parameter.allowed
+    at = lambda theta: parameter.put(setup, parameter.scale.value(initial, theta))
+    if allowed is None or not allowed(setup) or allowed(at(end)):
+        return end
+    inside, outside = 0.0, end
+    for _ in range(_HALVINGS):
+        middle = (inside + outside) / 2
+        inside, outside = (middle, outside) if allowed(at(middle)) else (inside, middle)
+    return inside
+
+
+def _given_bounds(parameter, initial, given) -> tuple[float, float]:
+    try:
+        low, high = (float(x) for x in given)
+        ends = [parameter.scale.theta(initial, x) for x in (low, high)]
+    except (TypeError, ValueError) as e:
+        reason = str(e) if str(e).endswith("needed") else "a pair (low, high) is needed"
+        raise ValueError(f"bounds: {parameter.name} = {given!r}: {reason}") from None
+    if not ends[0] < 0 < ends[1]:
+        raise ValueError(
+            f"bounds: {parameter.name} = ({low:g}, {high:g}): the initial value, "
+            f"{float(np.max(initial)):g} {parameter.unit}, must lie between them"
+        )
+    return ends[0], ends[1]

@@ -1,0 +1,1 @@
+"""What a fit found, as numbers, remarks, plots and pages."""

@@ -1,0 +1,145 @@
+"""What a calibration hands back: numbers with intervals and verdicts, and how they came about."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+import softrod_jax as sr
+from calibration.data.recording import Recording
+from calibration.data.selection import Selection
+from calibration.experiment.drift import Drift
+from calibration.experiment.setup import Setup
+from calibration.inference.explain import Explanation
+from calibration.inference.uncertainty import IDENTIFIED, Profile
+from calibration.search.checkpoint import Checkpoint
+from calibration.search.multistart import Start
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """One fitted parameter, in its unit; arrays (n,) where components are scaled together.
+
+    - `name`: of the parameter; `recording`: which one it belongs to, None for all.
+    - `ci95`: ends of the 95 % interval; None for a side on which the data set no bound.
+    - `verdict`: "identified", "bounded above only", "bounded below only", "not identifiable".
+    - `standard_error`: in theta, about relative for what is positive.
+    - `step_shift`, `grid_shift`: how far the value would move with half the time step and with
+      twice the grid, as parts of the half width of its interval (of a half width of 1 in theta if
+      that is larger); None if not checked.
+    """
+
+    name: str
+    recording: str | None
+    value: float | np.ndarray
+    ci95: tuple
+    initial: float | np.ndarray
+    unit: str
+    verdict: str
+    standard_error: float
+    step_shift: float | None
+    grid_shift: float | None
+
+    @property
+    def identifiable(self) -> bool:
+        return self.verdict == IDENTIFIED
+
+
+@dataclass(frozen=True, eq=False)
+class RecordingFit:
+    """One recording and its fit at the samples that were used (n,).
+
+    - `times` [s], the recording's clock; `measured` and `simulated` [m], (n, 3); NaN where a
+      coordinate is missing. The simulated tip is seen in the recording's frame.
+    - `weights`, (n, 3): 1, less for outliers if the loss is robust.
+    - `curve_times` [s] and `curve` [m]: the simulated tip on a fine grid, for plots.
+    - `rmse` [m]: root mean square distance, every sample counting the same; `rmse_axes` [m], (3,).
+    - `time_offset` [s]: for a recording with inputs, how much later than its inputs the tip's
+      clock says they began; for a release, when it happened on the recording's clock.
+    - `time_offset_ci95` [s], None if it was not fitted.
+    - `drift`: a `calibration.experiment.drift.Drift` of each channel that was allowed to, by name.
+    - `tip_offset` [m] and `frame_rotation` [rad], (3,) each: how the recording's frame was moved
+      to fit (`calibration.experiment.alignment`); None if the recording knows where the clamp is.
+    - `beginning`: how it was taken to begin.
+    - `frame_fitted`: they were fitted to this recording; else, where it was kept aside, they are
+      those of the fitted ones, and `rmse_own_frame` [m] is what a frame of its own would leave.
+    - `shapes` [m], (rows, outputs, 3) at `shape_times` [s, from the start]: the rod's motion.
+    """
+
+    name: str
+    recording: Recording
+    selection: Selection
+    times: np.ndarray
+    measured: np.ndarray
+    simulated: np.ndarray
+    weights: np.ndarray
+    curve_times: np.ndarray
+    curve: np.ndarray
+    rmse: float
+    rmse_axes: np.ndarray
+    time_offset: float
+    time_offset_ci95: tuple[float, float] | None
+    drift: dict[str, Drift]
+    tip_offset: np.ndarray | None
+    frame_rotation: np.ndarray | None
+    shape_times: np.ndarray
+    shapes: np.ndarray
+    beginning: str = ""
+    frame_fitted: bool = True
+    rmse_own_frame: float | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Fit:
+    """The outcome of `calibrate`.
+
+    - `scene`: the scene with the fitted values; `setup`: the same with what surrounds it. Values
+      of single recordings are not in them. What is not identifiable is there as it was at the
+      start, or at the end of its interval that is nearest to that.
+    - `parameters`: an `Estimate` by label: the name, with @ and the recording if it is its own.
+    - `recordings`, `held_out`: a `RecordingFit` each. `rmse_m` [m], `time_offset_s` [s], by name.
+    - `result`: "converged", or why the fit stopped. `loss`: "squares", "huber" or "tukey".
+    - `history`: after each evaluation: stage, rms distance [m] and values by label.
+    - `correlation`, (parameters, parameters), in the order of `parameters`.
+    - `samples`, `effective_samples`: coordinates fitted, and how many independent ones they are
+      worth.
+    - `profiles`: by label, those asked for. `starts`: those of a multi-start, the best first.
+    - `explanations`: what else would explain the residuals; None if that was not asked for.
+    - `material`: name of the material whose range values were compared with, or None.
+    - `dt` [s]: the time step used, by recording; `method`: the grid along the rod.
+      `resolution_note`: what finer simulations say, if it is more than shifts of parameters.
+    - `checkpoint`: that of the fit, for `calibration.report.writing.write_report` to remove.
+    - `seconds`: how long the fit took.
+    """
+
+    scene: sr.Scene
+    setup: Setup
+    parameters: dict[str, Estimate]
+    recordings: tuple[RecordingFit, ...]
+    held_out: tuple[RecordingFit, ...]
+    result: str
+    optimiser: str
+    loss: str
+    iterations: int
+    evaluations: int
+    history: list[dict]
+    correlation: np.ndarray
+    samples: int
+    effective_samples: float
+    profiles: Mapping[str, Profile]
+    starts: tuple[Start, ...]
+    explanations: tuple[Explanation, ...] | None
+    material: str | None
+    dt: dict[str, float]
+    method: sr.Collocation
+    resolution_note: str
+    checkpoint: Checkpoint
+    seconds: float
+
+    @property
+    def rmse_m(self) -> dict[str, float]:
+        return {r.name: r.rmse for r in self.recordings}
+
+    @property
+    def time_offset_s(self) -> dict[str, float]:
+        return {r.name: r.time_offset for r in self.recordings}

@@ -1,0 +1,1 @@
+"""From a start to the best values: optimisers, several starts, robust weights."""

@@ -1,0 +1,1 @@
+"""The boundary value problem along the rod: methods, Newton, continuation."""

@@ -1,0 +1,190 @@
+"""Damped Newton's method with a natural monotonicity test and reuse of the Jacobian.
+
+After Deuflhard, "Newton Methods for Nonlinear Problems" (2011), algorithm NLEQ-ERR: a step is
+judged by the next correction, computed with the same factors. That measure does not depend on
+how the equations are scaled, says directly how far the solution still is, and costs no new
+Jacobian: while it falls fast, the same factors serve on, also from one problem to the next.
+"""
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float, Int
+
+from softrod_jax.foundation.results import RESULTS
+
+
+class NewtonOptions(eqx.Module):
+    """When to stop. Corrections are relative to the scales given to `newton`.
+
+    - `tolerance`: on the last correction; the error left is smaller still.
+    - `max_iterations`: evaluations of the equations.
+    - `smallest_damping`: below it the answer is `RESULTS.diverged`.
+    """
+
+    tolerance: float = eqx.field(static=True, default=1e-10)
+    max_iterations: int = eqx.field(static=True, default=60)
+    smallest_damping: float = eqx.field(static=True, default=1e-3)
+
+
+# Keep the factors while each correction is at most this fraction of the one before.
+_REUSE = 0.25
+# A correction this small that no longer falls is rounding error.
+_ROUNDING = 1e-6
+
+
+class NewtonResult(NamedTuple):
+    """`factors`: the last that were made, at the solution or near it.
+
+    `contraction`: the largest ratio of corrections; below 1/2 throughout and undamped means
+    that the start was well inside the basin of this solution.
+    """
+
+    y: Array
+    factors: Any
+    result: Int[Array, ""]
+    iterations: Int[Array, ""]
+    correction: Float[Array, ""]
+    contraction: Float[Array, ""]
+
+
+class Borrowed(NamedTuple):
+    """Factors of a Jacobian like the one wanted, and whether they are (else: only their shape)."""
+
+    factors: Any
+    usable: Bool[Array, ""]
+
+
+class _State(NamedTuple):
+    y: Array
+    step: Array
+    size: Float[Array, ""]
+    damping: Float[Array, ""]
+    contraction: Float[Array, ""]
+    result: Int[Array, ""]
+    iterations: Int[Array, ""]
+    running: Bool[Array, ""]
+    fresh: Bool[Array, ""]  # the factors are new: `step` and `size` are not known yet
+    stale: Bool[Array, ""]  # the factors serve no longer
+    borrowed: Bool[Array, ""]  # the factors are of another problem
+
+
+def newton(
+    evaluate: Callable,
+    factorise: Callable,
+    solve: Callable,
+    y,
+    scale,
+    options: NewtonOptions,
+    exact_factors: bool = False,
+    borrowed: Borrowed | None = None,
+) -> NewtonResult:
+    """Solve `evaluate(y) = F = 0` from `y`.
+
+    - `evaluate(y)`: the equations F, a pytree; not finite where they cannot be evaluated.
+    - `factorise(y)`: factors of the Jacobian there.
+    - `solve(factors, F)`: the correction -J^-1 F, of y's shape.
+    - `scale`: of y's shape or broadcast to it; corrections are measured by max |dy / scale|.
+    - `exact_factors`: return the factors at the solution itself.
+    - `borrowed`: factors to begin with; new ones are made as soon as these do not serve.
+    """
+
+    def size_of(step):
+        size = jnp.max(jnp.abs(step) / scale)
+        return jnp.where(jnp.isfinite(size), size, jnp.inf)
+
+    def goes_on(state):
+        return state.running & (state.iterations < options.max_iterations)
+
+    # Two nested loops and no branch but one: in a batch, a branch costs every pass a Jacobian.
+    def with_factors(carry):
+        state, factors, _ = carry
+        last = ~goes_on(state)
+        if borrowed is None:
+            factors = factorise(state.y)
+        else:
+            # At most once, as a branch would; but in a batch only if any of its samples needs it.
+            _, factors = jax.lax.while_loop(
+                lambda carry: carry[0],
+                lambda carry: (jnp.array(False), factorise(state.y)),
+                (~state.borrowed, factors),
+            )
+        state = state._replace(
+            step=jnp.zeros_like(state.step), fresh=jnp.array(True), stale=jnp.array(False)
+        )
+        state = jax.lax.while_loop(
+            lambda s: goes_on(s) & ~s.stale, lambda s: one_pass(s, factors), state
+        )
+        return state._replace(borrowed=jnp.array(False)), factors, last
+
+    def one_pass(state, factors):
+        y = state.y + state.damping * state.step
+        step = solve(factors, evaluate(y))
+        size = size_of(step)
+        full = state.fresh | (state.damping == 1.0)
+        falls = size <= (1 - state.damping / 4) * state.size
+        ratio = size / state.size
+        # What the corrections to come sum up to while each is this fraction of the last one.
+        falling = full & ~state.fresh & (ratio < 0.5)
+        left = jnp.where(falling, size * ratio / (1 - ratio), size)
+        small = left <= options.tolerance
+        at_rounding = full & (state.size <= _ROUNDING) & (size <= 10 * _ROUNDING)
+        accept = jnp.isfinite(size) & (state.fresh | falls | small | at_rounding)
+        converged = accept & full & (small | (at_rounding & ~falls & ~state.fresh))
+        # Borrowed factors have to show that they serve, and if not it is no fault of the problem.
+        converged &= ~state.borrowed | (~state.fresh & (ratio < _REUSE))
+        useless = state.borrowed & ~accept
+        damping = jnp.where(accept, jnp.minimum(1.0, 4 * state.damping), state.damping / 4)
+        failed = ~accept & ~useless & (state.fresh | (damping < options.smallest_damping))
+        result = jnp.where(failed, RESULTS.diverged, RESULTS.max_iterations)
+        judged = accept & ~state.fresh & (size > _ROUNDING)
+        worst = jnp.where(judged, jnp.maximum(state.contraction, ratio), state.contraction)
+        pick = lambda new, old: jax.tree.map(lambda a, b: jnp.where(accept, a, b), new, old)
+        return _State(
+            # A correction at rounding level is noise: it is not added.
+            y=pick(jnp.where(converged & small, y + step, y), state.y),
+            step=pick(step, state.step),
+            size=pick(size, state.size),
+            damping=jnp.where(state.fresh | useless, state.damping, damping),
+            contraction=jnp.where(full, worst, jnp.inf),
+            result=jnp.where(converged, RESULTS.successful, result).astype(jnp.int32),
+            iterations=state.iterations + 1,
+            running=~converged & ~failed,
+            fresh=jnp.array(False),
+            stale=useless | (accept & ~state.fresh & ~(full & (ratio < _REUSE))),
+            borrowed=state.borrowed,
+        )
+
+    start = _State(
+        y=y,
+        step=jnp.zeros_like(y),
+        size=jnp.array(jnp.inf),
+        damping=jnp.ones(()),
+        contraction=jnp.zeros(()),
+        result=jnp.array(RESULTS.max_iterations, jnp.int32),
+        iterations=jnp.zeros((), jnp.int32),
+        running=jnp.array(True),
+        fresh=jnp.array(True),
+        stale=jnp.array(False),
+        borrowed=jnp.array(False) if borrowed is None else borrowed.usable,
+    )
+    factors = no_factors(factorise, y) if borrowed is None else borrowed.factors
+
+    def unfinished(carry):
+        state, _, last = carry
+        return goes_on(state) | ~last if exact_factors else goes_on(state)
+
+    end, factors, _ = jax.lax.while_loop(
+        unfinished, with_factors, (start, factors, jnp.array(False))
+    )
+    return NewtonResult(
+        end.y, factors, end.result, end.iterations, end.size, end.contraction
+    )
+
+
+def no_factors(factorise: Callable, y):
+    """Zeros of the shape of `factorise(y)`."""
+    return jax.tree.map(lambda x: jnp.zeros(x.shape, x.dtype), jax.eval_shape(factorise, y))

@@ -1,0 +1,1 @@
+"""What every call rests on: float64, compiled programs, result codes, whole files."""

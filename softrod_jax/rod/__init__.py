@@ -1,0 +1,1 @@
+"""The rod at one instant: its constants, strains and ordinary differential equation."""

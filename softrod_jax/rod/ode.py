@@ -1,0 +1,356 @@
+"""The rod ODE: dy/ds of a Cosserat rod at one instant, a pure function.
+
+Total-wrench form of Roshanfar et al. (2024), eq. 4 to 12, in the body frame. With the energy
+of tendons and chambers inside the constitutive law (`constitutive.py`), every distributed
+actuation term of the paper's form vanishes, and N, M are continuous along the rod.
+
+Time derivatives are replaced by `y_t = c0 y + y_h` (paper eq. 14), with `y_h` from earlier
+steps; in statics there are none, and q, omega are not part of the state.
+
+State, in this order, absent parts left out:
+
+    h      4   attitude quaternion (w, x, y, z), body to base; only if a load is fixed in the
+               base frame (gravity, dead tip loads): nothing else depends on it
+    q      3   linear velocity R^T p_t [m/s], dynamics only
+    omega  3   angular velocity [rad/s], dynamics only
+    N      3   total force R^T N [N]
+    M      3   total moment R^T M [N m]
+
+The position p is in no right-hand side: `shape.py` integrates it afterwards.
+
+Of a rod that stays in a plane, `rod` has the components in the plane only, and so have states and
+strains: two of q and N, one of omega and M, and an angle for the attitude; see `scene/planes.py`.
+The equations are the same, with the products of `rotations.py` that fit. The strains of a rod that
+is inextensible are u alone; v is v*.
+"""
+
+import functools
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float
+
+from softrod_jax.rod.constants import Rod
+from softrod_jax.rod.constitutive import compliance, local_problem, recover_strain
+from softrod_jax.rod.rotations import cross, hat, hats, to_body
+
+Points = Float[Array, "*points n"]
+
+
+class History(NamedTuple):
+    """y_t = c0 y + y_h for y = v, u, q, omega, at each point of the grid.
+
+    - `c0` [1/s].
+    - `strain` (v_h, u_h), (*points, 6); `velocity` (q_h, omega_h), (*points, 6).
+    """
+
+    c0: Float[Array, ""]
+    strain: Float[Array, "*points 6"]
+    velocity: Float[Array, "*points 6"]
+
+
+class Layout(eqx.Module):
+    """Which parts the state has, and where. Static: known before tracing."""
+
+    attitude: bool = eqx.field(static=True)
+    dynamic: bool = eqx.field(static=True)
+    inextensible: bool = eqx.field(static=True, default=False)
+    planar: bool = eqx.field(static=True, default=False)
+
+    @property
+    def vector(self) -> int:
+        """Components of a vector: v, q, N."""
+        return 2 if self.planar else 3
+
+    @property
+    def turn(self) -> int:
+        """Components of a turn: u, omega, M."""
+        return 1 if self.planar else 3
+
+    @property
+    def pair(self) -> int:
+        """Components of a vector and a turn: (q, omega), (N, M)."""
+        return self.vector + self.turn
+
+    @property
+    def strain_size(self) -> int:
+        """Components of the strains: (v, u), or u alone."""
+        return self.turn if self.inextensible else self.pair
+
+    @property
+    def attitude_size(self) -> int:
+        """Components of the attitude: a quaternion's, or an angle."""
+        return (1 if self.planar else 4) * self.attitude
+
+    @property
+    def base_size(self) -> int:
+        """How many components are given at the base (h, q, omega); N and M follow."""
+        return self.attitude_size + self.pair * self.dynamic
+
+    @property
+    def size(self) -> int:
+        return self.base_size + self.pair
+
+    def split(self, y: Points):
+        """(h, q, omega, N, M); None for a part that is absent."""
+        i = self.attitude_size
+        h = y[..., :i] if self.attitude else None
+        j, k = i + self.vector, i + self.pair
+        q, w = (y[..., i:j], y[..., j:k]) if self.dynamic else (None, None)
+        return h, q, w, y[..., -self.pair : -self.turn], y[..., -self.turn :]
+
+    def split_strain(self, strain: Points):
+        """(v, u); None for v where the rod is inextensible."""
+        if self.inextensible:
+            return None, strain
+        return strain[..., : self.vector], strain[..., self.vector :]
+
+    def join(self, *parts) -> Points:
+        return jnp.concatenate([p for p in parts if p is not None], axis=-1)
+
+
+def layout_of(rod: Rod, dynamic: bool) -> Layout:
+    """The state that `rod` needs at rest or, `dynamic`, in motion."""
+    return Layout(
+        attitude=rod.has_dead_load,
+        dynamic=dynamic,
+        inextensible=rod.K_se is None,
+        planar=rod.plane is not None,
+    )
+
+
+class Rates(NamedTuple):
+    """What the ODE gives at a point: dy/ds, the strains (v, u), and if those exist."""
+
+    y_s: Points
+    strain: Float[Array, "*points 6"]
+    solvable: Bool[Array, ""]
+
+
+def rod_ode(
+    s, y: Points, rod: Rod, layout: Layout, history: History | None, guess: Points
+) -> Rates:
+    """dy/ds at arc length `s` [m], for one point or for many.
+
+    `guess` (*points, 6): strains from which the pointwise solve starts (tendons only); the
+    answer does not depend on it.
+    """
+    problem = pointwise_problem(s, y, rod, history)
+    strain, solvable = recover_strain(problem, guess)
+    return Rates(rates(y, strain, rod, layout, history), strain, solvable)
+
+
+class Jacobian(NamedTuple):
+    """Derivatives with the strains at the solution of their pointwise problem.
+
+    - `state`: d(dy/ds)/dy, (*points, n, n), the strains following.
+    - `compliance`: d(v, u)/d(N, M), (*points, 6, 6); `wrench`: what follows from it alone for
+      dy/ds, (*points, n, 6).
+    """
+
+    state: Float[Array, "*points n n"]
+    compliance: Float[Array, "*points 6 6"]
+    wrench: Float[Array, "*points n 6"]
+
+
+def rod_ode_jacobian(
+    s, y: Points, strain, rod: Rod, layout: Layout, history: History | None
+) -> Jacobian:
+    """The derivative of `rod_ode` by y.
+
+    Written out, because 16 forward tangents of `rod_ode` cost several times as much.
+    """
+    f_y, f_strain = _partial_derivatives(y, strain, rod, layout, history)
+    problem = pointwise_problem(s, y, rod, history)
+    C = compliance(problem, strain)
+    by_wrench = f_strain / problem.k if problem.tau is None else f_strain @ C
+    n = rod.strain_size
+    state = jnp.concatenate([f_y[..., :-n], f_y[..., -n:] + by_wrench], -1)
+    return Jacobian(state, C, by_wrench)
+
+
+def pointwise_problem(s, y, rod, history):
+    c0, strain_history = (None, None) if history is None else (history.c0, history.strain)
+    return local_problem(rod, s, y[..., -rod.strain_size :], c0, strain_history)
+
+
+def rates(y, strain, rod, layout, history):
+    h, q, w, N, M = layout.split(y)
+    v, u = _strains(strain, rod, layout)
+    h_s = q_s = w_s = None
+    if layout.attitude and layout.planar:
+        h_s = u
+    elif layout.attitude:
+        a, r = h[..., :1], h[..., 1:]  # R_s = R u^ (eq. 4), as h_s = 1/2 h o (0, u)
+        h_s = 0.5 * jnp.concatenate(
+            [-jnp.sum(r * u, -1, keepdims=True), a * u + cross(r, u)], -1
+        )
+    N_s = -cross(u, N)  # R^T (R N)_s = N_s + u^ N
+    M_s = -cross(u, M) - cross(v, N)  # eq. 4: m_s = ... - p_s^ n
+    if layout.dynamic:
+        c0 = history.c0
+        v_h, u_h = layout.split_strain(history.strain)
+        q_h, w_h = history.velocity[..., : layout.vector], history.velocity[..., layout.vector :]
+        u_t, q_t, w_t = c0 * u + u_h, c0 * q + q_h, c0 * w + w_h
+        if layout.inextensible:
+            q_s = cross(w, v) - cross(u, q)
+        else:
+            q_s = c0 * v + v_h - cross(u, q) + cross(w, v)  # eq. 4
+        w_s = u_t - cross(u, w)  # eq. 4
+        N_s = N_s + rod.rho_A * (cross(w, q) + q_t)  # eq. 4: n_s = rho A R (w^ q + q_t) - f
+        M_s = M_s + cross(w, rod.rho_J * w) + rod.rho_J * w_t  # eq. 4
+        if rod.C is not None:
+            N_s = N_s + rod.C * q * jnp.abs(q)  # eq. 10: f_d = -R C (q o |q|)
+    if rod.weight is not None:
+        N_s = N_s - to_body(h, rod.weight)  # eq. 10: f_g = rho A g
+    return layout.join(h_s, q_s, w_s, N_s, M_s)
+
+
+def _strains(strain, rod, layout):
+    """(v, u)."""
+    v, u = layout.split_strain(strain)
+    if v is None:
+        v = jnp.broadcast_to(rod.v_star, (*strain.shape[:-1], layout.vector))
+    return v, u
+
+
+def _partial_derivatives(y, strain, rod, layout, history):
+    """Of `rates`: by y at fixed strain, (*points, n, n), and by the strain, (*points, n, 6)."""
+    h, q, w, N, M = layout.split(y)
+    v, u = _strains(strain, rod, layout)
+    vector, turn = layout.vector, layout.turn
+    zero = functools.cache(lambda i, j: jnp.zeros((*y.shape[:-1], i, j)))
+    eye = functools.cache(lambda n: jnp.broadcast_to(jnp.eye(n), (*y.shape[:-1], n, n)))
+    # Hats that act on vectors like v (_v), and on turns like u (_u). In space they are the same.
+    (u_v, u_u), (v_v, v_u), (N_v, N_u), (_, M_u) = hats(u), hats(v), hats(N), hats(M)
+
+    # Rows N and M; columns (h), (q, omega), N, M and then v, u.
+    N_row, M_row = [-u_v, zero(vector, turn)], [-v_v, -u_u]
+    N_strain, M_strain = [zero(vector, vector), N_u], [N_v, M_u]
+    rows, strains = [], []
+    if layout.dynamic:
+        c0, (_, q_u), (w_v, w_u) = history.c0, hats(q), hats(w)
+        drive = c0 * eye(vector) + w_v
+        drive_u = drive if vector == turn else c0 * eye(turn) + w_u
+        N_q = rod.rho_A * drive
+        if rod.C is not None:
+            N_q = N_q + 2 * (rod.C * jnp.abs(q))[..., None] * eye(vector)
+        # w_hat J: scale columns by J. J-weighted omega: (J omega)^.
+        M_w = w_u * rod.rho_J - hats(rod.rho_J * w)[1] + c0 * rod.rho_J * eye(turn)
+        N_row = [N_q, -rod.rho_A * q_u] + N_row
+        M_row = [zero(turn, vector), M_w] + M_row
+        rows = [
+            [-u_v, -v_u, zero(vector, vector), zero(vector, turn)],
+            [zero(turn, vector), -u_u, zero(turn, vector), zero(turn, turn)],
+        ]
+        strains = [[drive, q_u], [zero(turn, vector), drive_u]]
+    rows, strains = rows + [N_row, M_row], strains + [N_strain, M_strain]
+    f_y = _blocks(rows)
+    # The columns of v, if it is unknown, and of u.
+    f_strain = _blocks([row[layout.inextensible :] for row in strains])
+    if layout.attitude:
+        f_y, f_strain = _with_attitude(f_y, f_strain, h, u, rod, layout)
+    return f_y, f_strain
+
+
+def _with_attitude(f_y, f_strain, h, u, rod, layout):
+    """Prepend the rows and columns of the quaternion, or of the angle."""
+    points, n = f_y.shape[:-2], layout.attitude_size
+    if layout.planar:
+        spin, top = jnp.zeros((*points, 1, 1)), jnp.ones((*points, 1, 1))
+    else:
+        a, r = h[..., 0, None, None], h[..., 1:]
+        top = jnp.concatenate([-r[..., None, :], a * jnp.eye(3) + hat(r)], -2)  # times 2
+        o = jnp.zeros_like(u[..., :1])
+        h_row = jnp.concatenate([o, -u], -1)[..., None, :]
+        spin = jnp.concatenate([h_row, jnp.concatenate([u[..., :, None], -hat(u)], -1)], -2)
+        spin, top = 0.5 * spin, 0.5 * top  # dh_s/dh and dh_s/du
+    columns = jnp.zeros((*f_y.shape[:-1], n))
+    if rod.weight is not None:
+        rows = slice(-layout.pair, -layout.turn)
+        columns = columns.at[..., rows, :].set(-to_body_by_attitude(h, rod.weight))
+    right = jnp.concatenate([columns, f_y], -1)
+    left = jnp.concatenate([spin, jnp.zeros((*points, n, f_y.shape[-1]))], -1)
+    if not layout.inextensible:
+        top = jnp.concatenate([jnp.zeros((*points, n, layout.vector)), top], -1)
+    return jnp.concatenate([left, right], -2), jnp.concatenate([top, f_strain], -2)
+
+
+def to_body_by_attitude(h, a):
+    """d(R(h)^T a)/dh, (*points, 3, 4); in a plane, of an angle h, (*points, 2, 1)."""
+    if h.shape[-1] == 1:
+        b = to_body(h, a)
+        return jnp.stack([-b[..., 1], b[..., 0]], -1)[..., None]
+    w, r = h[..., 0, None, None], h[..., 1:]
+    a = jnp.broadcast_to(a, r.shape)
+    k = 2 / jnp.sum(h * h, -1)[..., None, None]
+    ar = jnp.sum(a * r, -1)[..., None, None]
+    outer = r[..., :, None] * a[..., None, :]
+    eye = jnp.eye(3)
+    # R^T a = a - k (w r x a - r x (r x a)); then the norm, which k hides.
+    by_w = -cross(r, a)[..., None]
+    by_r = w * hat(a) + ar * eye + outer - 2 * jnp.swapaxes(outer, -1, -2)
+    by_h = k * jnp.concatenate([by_w, by_r], -1)
+    moved = to_body(h, a) - a
+    return by_h - k * moved[..., :, None] * h[..., None, :]
+
+
+def _blocks(rows):
+    return jnp.concatenate([jnp.concatenate(row, -1) for row in rows], -2)
+
+
+def sizes(Y: Points, rod: Rod, layout: Layout, history: History | None) -> Float[Array, "n"]:
+    """Sizes of the state's components: a bent rod's, or those of `Y` if larger."""
+    rate = 1.0 if history is None else history.c0
+    EI = jnp.max(rod.K_bt[:2])
+    if history is not None and rod.B_bt is not None:
+        EI = EI + rate * jnp.max(rod.B_bt[:2])
+    N = jnp.max(jnp.abs(Y[:, -layout.pair : -layout.turn]))
+    M = jnp.max(jnp.abs(Y[:, -layout.turn :]))
+    vector = turn = jnp.ones(layout.vector)
+    if layout.planar:
+        turn = jnp.ones(layout.turn)
+    return layout.join(
+        jnp.ones(layout.attitude_size) if layout.attitude else None,
+        rate * rod.L * vector if layout.dynamic else None,
+        rate * turn if layout.dynamic else None,
+        (EI / rod.L**2 + N) * vector,
+        (EI / rod.L + M) * turn,
+    )
+
+
+class Tip(NamedTuple):
+    """The wrench (N, M) that the tip's surroundings ask for, (6,), and its derivative."""
+
+    wrench: Float[Array, "6"]
+    by_base_part: Float[Array, "6 a"]
+
+
+def tip_condition(y: Float[Array, "n"], rod: Rod, layout: Layout, history) -> Tip:
+    """(N, M) at s = L as a function of h, q and omega there (paper eq. 13, total wrench).
+
+    Zero for a free tip, whatever the actuators do. `history` is the one at s = L.
+    """
+
+    def wrench(base_part):
+        h, q, w, _, _ = layout.split(jnp.concatenate([base_part, jnp.zeros(layout.pair)]))
+        N, M = jnp.zeros(layout.vector), jnp.zeros(layout.turn)
+        if rod.F_tip is not None:
+            N = N + to_body(h, rod.F_tip)
+        if rod.M_tip is not None:
+            # In a plane a turn is the same in both frames.
+            M = M + (rod.M_tip if layout.planar else to_body(h, rod.M_tip))
+        if rod.payload is not None:
+            if rod.gravity is not None:
+                N = N + rod.payload * to_body(h, rod.gravity)
+            if layout.dynamic:
+                q_t = history.c0 * q + history.velocity[: layout.vector]
+                N = N - rod.payload * (q_t + cross(w, q))
+        return jnp.concatenate([N, M])
+
+    base_part = y[: layout.base_size]
+    if all(x is None for x in (rod.F_tip, rod.M_tip, rod.payload)):
+        return Tip(jnp.zeros(layout.pair), jnp.zeros((layout.pair, layout.base_size)))
+    return Tip(wrench(base_part), jax.jacfwd(wrench)(base_part))

@@ -1,0 +1,49 @@
+"""Whether there can be a rod with traced numbers; a harmless one where there cannot.
+
+A traced scene with a number that cannot be is replaced as a whole before anything is computed with
+it: the numbers of a failed sample stay finite, and so do the derivatives of its batch.
+"""
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float
+
+from softrod_jax.rod.constants import make_rod
+from softrod_jax.scene.checks import parts_of, relations_of
+from softrod_jax.scene.planes import fits_plane
+from softrod_jax.scene.scene import Scene
+
+
+def usable(scene: Scene, good=True, tensions=None, pressures=None) -> tuple[Scene, Bool[Array, ""]]:
+    """The scene, and whether all its numbers can be; where one cannot, a harmless scene.
+
+    `good`: whether all other inputs can be. `tensions` and `pressures`: constant ones. A rod whose
+    stiffness or mass overflows, or is lost in rounding, cannot be either.
+    """
+    parts, good = parts_of(scene, "rod"), jnp.asarray(good)
+    for part in parts:
+        good &= jnp.all(part.number.fits(part.value, jnp))
+    for owner in (scene, scene.section):
+        for _, holds, _ in relations_of(owner):
+            good &= jnp.all(holds)
+    if scene.plane is not None:
+        good &= fits_plane(scene)
+    rod = make_rod(scene, tensions, pressures)
+    for x in jax.tree.leaves(rod):
+        good &= jnp.all(jnp.isfinite(x))
+    # The size of forces tells of lengths whose square is none.
+    for x in (rod.K_se, rod.K_bt, rod.K_bt / rod.L**2, rod.rho_A, rod.rho_J):
+        good &= True if x is None else jnp.all((x > 0) & (x < jnp.inf))
+    leaves, structure = jax.tree.flatten(scene)
+    leaves = [
+        jnp.where(good, x, jnp.asarray(part.number.harmless, dtype=float))
+        for x, part in zip(leaves, parts, strict=True)
+    ]
+    return jax.tree.unflatten(structure, leaves), good
+
+
+def usable_in_time(scene: Scene, dt) -> tuple[Scene, Float[Array, ""], Bool[Array, ""]]:
+    """As `usable`, with the time step `dt` [s]."""
+    # Errors in time are by its powers.
+    scene, good = usable(scene, jnp.isfinite(dt**4) & (dt > 0) & (dt**4 > 0))
+    return scene, jnp.where(good, dt, 1.0), good

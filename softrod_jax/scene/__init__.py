@@ -1,0 +1,1 @@
+"""What a robot is: its sections, actuators and loads, in Python and in files."""

@@ -1,0 +1,86 @@
+"""What values a number of a scene can have: one rule for Python, scene files and traced numbers.
+
+Each class of the scene says it of its fields, where they are declared. Scene files are read by it
+(`schema.py`), and calls check by it what they are given (`checks.py`).
+"""
+
+import dataclasses
+import math
+from typing import Any
+
+import equinox as eqx
+
+
+@dataclasses.dataclass(frozen=True)
+class Number:
+    """A number or a list of numbers, in `unit`, each within the range.
+
+    - `sizes`: the shapes allowed; 0 is a number, n a list of n numbers.
+    - `above`, `below` exclude their bound, `at_least` includes it.
+    - `zero_is_absent`: zero throughout means that the effect is not in the scene.
+    - `per_actuator`: the field has one such value for each actuator, as rows of one array.
+    - `harmless`: what stands in for a traced value that cannot be.
+    """
+
+    unit: str = ""
+    sizes: tuple[int, ...] = (0,)
+    above: float = -math.inf
+    at_least: float = -math.inf
+    below: float = math.inf
+    zero_is_absent: bool = False
+    per_actuator: bool = False
+    harmless: float | tuple[float, ...] = 0.0
+
+    def __str__(self) -> str:
+        shapes = ["a number" if n == 0 else f"a list of {n} numbers" for n in self.sizes]
+        bounds = [
+            f"{words} {bound:g}"
+            for words, bound in (
+                ("above", self.above),
+                ("at least", self.at_least),
+                ("below", self.below),
+            )
+            if math.isfinite(bound)
+        ]
+        unit = f" [{self.unit}]" if self.unit else ""
+        text = " or ".join(shapes) + unit
+        return text + (", " + " and ".join(bounds) if bounds else ", finite")
+
+    def fits(self, value, module):
+        """Whether each entry is finite and in the range; `module` is numpy or jax.numpy."""
+        fits = module.isfinite(value) & (value > self.above) & (value >= self.at_least)
+        return fits & (value < self.below)
+
+    def has_shape(self, shape: tuple[int, ...]) -> bool:
+        """Whether an array of this shape can be such a value, or rows of them."""
+        if self.per_actuator:
+            if not shape or shape[0] == 0:
+                return False
+            shape = shape[1:]
+        return shape in [(n,) if n else () for n in self.sizes]
+
+
+# What is known of a number that no class says anything about.
+ANY = Number(harmless=1.0)
+
+
+def number(unit: str = "", *, optional: bool = False, converter=None, **range_: Any):
+    """A field of a class of the scene, and the range of its numbers; `None` where `optional`."""
+    keywords: dict[str, Any] = {"metadata": {"number": Number(unit, **range_)}}
+    if optional:
+        keywords["default"] = None
+    if converter is not None:
+        keywords["converter"] = converter
+    return eqx.field(**keywords)
+
+
+def numbers_of(kind: type) -> dict[str, Number]:
+    """The ranges that a class of the scene declares, by the names of its fields."""
+    fields = dataclasses.fields(kind)
+    return {f.name: f.metadata["number"] for f in fields if "number" in f.metadata}
+
+
+def is_required(kind: type, name: str) -> bool:
+    """Whether a field of a class of the scene must be given."""
+    field = next(f for f in dataclasses.fields(kind) if f.name == name)
+    return field.default is dataclasses.MISSING

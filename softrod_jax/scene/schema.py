@@ -1,0 +1,198 @@
+"""What a scene file may hold: each key's shape, unit and range, and the check of one table.
+
+The tables below are the whole format; what numbers can be is said by the classes of the scene
+(`ranges.py`). `read_table` is the one place that looks at a key, so
+every complaint has the same form: file, key, value, what is allowed.
+"""
+
+from dataclasses import dataclass
+from difflib import get_close_matches
+from typing import Any
+
+import numpy as np
+
+from softrod_jax.scene.ranges import Number, is_required, numbers_of
+from softrod_jax.scene.scene import PLANES, Chambers, Payload, Scene, Tendons, TipLoad
+from softrod_jax.scene.sections import Annulus, Circle, GeneralSection, Rectangle
+
+
+class SceneError(ValueError):
+    """A scene that cannot be: the message names the file, the key, the value and the remedy."""
+
+
+@dataclass(frozen=True)
+class Numbers:
+    """A number or a list of numbers, within the range that a class of the scene declares."""
+
+    number: Number
+    required: bool = False
+
+    def __str__(self) -> str:
+        return str(self.number)
+
+    def read(self, value: Any, where: str) -> np.ndarray | None:
+        """`value` as a float64 array of shape () or (n,); None where zero means absent.
+
+        Raises `SceneError`.
+        """
+        size, items = (len(value), value) if isinstance(value, list) else (0, [value])
+        if size not in self.number.sizes or not all(_is_number(x) for x in items):
+            raise SceneError(complaint(where, value, f"expected {self}"))
+        try:
+            array = np.array(value, dtype=np.float64)
+        except OverflowError:
+            array = np.array(np.inf)
+        if not np.all(self.number.fits(array, np)):
+            raise SceneError(complaint(where, value, f"expected {self}"))
+        if self.number.zero_is_absent and not np.any(array):
+            return None
+        return array
+
+
+@dataclass(frozen=True)
+class Table:
+    """A table, written [name], or inline as { key = value }."""
+
+    required: bool = False
+
+    def read(self, value: Any, where: str) -> dict:
+        if not isinstance(value, dict):
+            name = where.rsplit(".", 1)[-1].rsplit(" ", 1)[-1]
+            raise SceneError(complaint(where, value, f"expected one table, written [{name}]"))
+        return value
+
+
+@dataclass(frozen=True)
+class Tables:
+    """Any number of tables, each written [[name]]."""
+
+    required: bool = False
+
+    def read(self, value: Any, where: str) -> list[dict]:
+        if not isinstance(value, list) or not all(isinstance(x, dict) for x in value):
+            name = where.rsplit(" ", 1)[-1]
+            raise SceneError(
+                complaint(where, value, f"expected tables with two brackets each, [[{name}]]")
+            )
+        return value
+
+
+@dataclass(frozen=True)
+class Word:
+    """One of a few words."""
+
+    words: tuple[str, ...]
+    required: bool = False
+
+    def read(self, value: Any, where: str) -> str:
+        if value not in self.words:
+            allowed = ", ".join(f'"{w}"' for w in self.words)
+            raise SceneError(complaint(where, value, f"expected one of {allowed}"))
+        return value
+
+
+@dataclass(frozen=True)
+class Flag:
+    """Whether something is so."""
+
+    required: bool = False
+
+    def read(self, value: Any, where: str) -> bool:
+        if not isinstance(value, bool):
+            raise SceneError(complaint(where, value, "expected true or false"))
+        return value
+
+
+Schema = dict[str, Numbers | Table | Tables | Word | Flag]
+
+
+def _numbers_of(kind: type) -> Schema:
+    """The numbers of a class of the scene, as one of its tables has them."""
+    return {
+        name.removesuffix("s") if number.per_actuator else name: Numbers(
+            number, is_required(kind, name)
+        )
+        for name, number in numbers_of(kind).items()
+    }
+
+
+SCENE: Schema = {
+    "rod": Table(required=True),
+    "tendons": Tables(),
+    "chambers": Tables(),
+    "payload": Table(),
+    "tip_load": Table(),
+}
+
+ROD: Schema = {
+    "section": Table(required=True),
+    **_numbers_of(Scene),
+    "inextensible": Flag(),
+    "plane": Word(PLANES),
+}
+
+SECTIONS: dict[str, tuple[type, Schema]] = {
+    name: (kind, _numbers_of(kind))
+    for name, kind in (
+        ("circle", Circle),
+        ("annulus", Annulus),
+        ("rectangle", Rectangle),
+        ("general", GeneralSection),
+    )
+}
+SHAPE = Word(tuple(SECTIONS), required=True)
+
+TENDON, CHAMBER = _numbers_of(Tendons), _numbers_of(Chambers)
+PAYLOAD, TIP_LOAD = _numbers_of(Payload), _numbers_of(TipLoad)
+
+
+def read_table(table: dict, schema: Schema, where: str) -> dict:
+    """The values of `table`, checked against `schema`; keys that are absent are left out.
+
+    `where` is the file and the path of the table in it, the beginning of every message. Raises
+    `SceneError` for an unknown key, a missing required one, a wrong type or value.
+    """
+    for key in table:
+        if key not in schema:
+            close = get_close_matches(key, schema, n=1)
+            hint = f'did you mean "{close[0]}"? ' if close else ""
+            raise SceneError(
+                complaint(
+                    _join(where, key),
+                    table[key],
+                    f"unknown key; {hint}allowed here: {', '.join(schema)}",
+                )
+            )
+    for key, kind in schema.items():
+        if kind.required and key not in table:
+            expected = f"a table, [{key}]" if isinstance(kind, Table) else str(kind)
+            raise SceneError(f"{_join(where, key)} is missing: expected {expected}")
+    return {key: schema[key].read(table[key], _join(where, key)) for key in table}
+
+
+def complaint(where: str, value: Any, allowed: str) -> str:
+    """One line: where, the value as it stands, and what is allowed."""
+    return f"{shortened(where, 200)} = {shortened(_shown(value), 80)}: {allowed}"
+
+
+def shortened(text: str, most: int) -> str:
+    """`text`, or its beginning where it is longer than `most`."""
+    return text if len(text) <= most else text[: most - 3] + "..."
+
+
+def _shown(value: Any) -> str:
+    try:
+        return repr(value)
+    except (RecursionError, ValueError):  # nested too deep, or a whole number of many digits
+        return f"<{type(value).__name__}, too large to show>"
+
+
+def _join(where: str, key: str) -> str:
+    # `where` is "file:" for the file's top level and "file: rod" for a table. What would break a
+    # message into lines is shown as it is written.
+    key = key if key.isprintable() else repr(key)
+    return f"{where} {key}" if where.endswith(":") else f"{where}.{key}"
+
+
+def _is_number(x: Any) -> bool:
+    return isinstance(x, int | float) and not isinstance(x, bool)

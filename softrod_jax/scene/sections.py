@@ -1,0 +1,123 @@
+"""Cross-sections: area, second moments of area and torsion constant.
+
+Lengths in metres. `x` and `y` are the directions of the body frame that span the section.
+Every section offers
+
+- `area` [m^2],
+- `second_moments` [m^4]: (Ixx, Iyy), about the x and the y axis,
+- `torsion_constant` [m^4]: `G * torsion_constant` is the torsional stiffness. It equals
+  Ixx + Iyy for round sections only,
+- `contains(offset)`: whether a point of the section plane lies inside.
+
+What numbers a section can have it says where they are declared, and in `relations` what must hold
+between them.
+"""
+
+import equinox as eqx
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from softrod_jax.scene.ranges import number
+
+Scalar = Float[Array, ""]
+
+
+class Circle(eqx.Module):
+    """A solid circle."""
+
+    radius: Scalar = number("m", above=0, harmless=0.1)
+
+    @property
+    def area(self) -> Scalar:
+        return jnp.pi * self.radius**2
+
+    @property
+    def second_moments(self) -> Float[Array, "2"]:
+        return jnp.pi * self.radius**4 / 4 * jnp.ones(2)
+
+    @property
+    def torsion_constant(self) -> Scalar:
+        return jnp.pi * self.radius**4 / 2
+
+    def contains(self, offset):
+        return jnp.hypot(offset[..., 0], offset[..., 1]) <= self.radius
+
+
+class Annulus(eqx.Module):
+    """A tube."""
+
+    outer_radius: Scalar = number("m", above=0, harmless=0.1)
+    inner_radius: Scalar = number("m", at_least=0, harmless=0.05)
+
+    @property
+    def area(self) -> Scalar:
+        return jnp.pi * (self.outer_radius**2 - self.inner_radius**2)
+
+    @property
+    def second_moments(self) -> Float[Array, "2"]:
+        return jnp.pi * (self.outer_radius**4 - self.inner_radius**4) / 4 * jnp.ones(2)
+
+    @property
+    def torsion_constant(self) -> Scalar:
+        return jnp.pi * (self.outer_radius**4 - self.inner_radius**4) / 2
+
+    def relations(self):
+        """What must hold between the numbers: a field, whether it does, and what is expected."""
+        outer = self.outer_radius
+        expected = lambda: f"expected less than outer_radius = {float(outer)} [m]"
+        yield "inner_radius", self.inner_radius < outer, expected
+
+    def contains(self, offset):
+        # The bore counts as inside: a chamber or a tendon may run through it.
+        return jnp.hypot(offset[..., 0], offset[..., 1]) <= self.outer_radius
+
+
+class Rectangle(eqx.Module):
+    """A rectangle, `width` along x and `height` along y."""
+
+    width: Scalar = number("m", above=0, harmless=0.1)
+    height: Scalar = number("m", above=0, harmless=0.1)
+
+    @property
+    def area(self) -> Scalar:
+        return self.width * self.height
+
+    @property
+    def second_moments(self) -> Float[Array, "2"]:
+        w, h = self.width, self.height
+        return jnp.stack([w * h**3, h * w**3]) / 12
+
+    @property
+    def torsion_constant(self) -> Scalar:
+        """Saint-Venant's series (Timoshenko & Goodier, Theory of Elasticity, art. 109)."""
+        a = jnp.maximum(self.width, self.height)
+        b = jnp.minimum(self.width, self.height)
+        # Terms fall as n^-5 and tanh is 1 to rounding after the first few: nine odd terms
+        # leave 1e-7 of the sum at worst, removed by the closed form of the tail with tanh = 1.
+        n = jnp.arange(1, 19, 2)
+        tail = 31 * _ZETA_5 / 32 - jnp.sum(1.0 / n**5)
+        series = jnp.sum(jnp.tanh(n * jnp.pi * a / (2 * b)) / n**5) + tail
+        return a * b**3 * (1 / 3 - 64 / jnp.pi**5 * (b / a) * series)
+
+    def contains(self, offset):
+        return (jnp.abs(offset[..., 0]) <= self.width / 2) & (
+            jnp.abs(offset[..., 1]) <= self.height / 2
+        )
+
+
+_ZETA_5 = 1.036927755143369926  # Riemann zeta(5): sum over odd n of n^-5 is 31/32 of it
+
+
+class GeneralSection(eqx.Module):
+    """A section given by its numbers, for shapes that are not listed here."""
+
+    area: Scalar = number("m^2", above=0, harmless=0.03)
+    second_moments: Float[Array, "2"] = number("m^4", sizes=(2,), above=0, harmless=1e-4)
+    torsion_constant: Scalar = number("m^4", above=0, harmless=1e-4)
+
+    def contains(self, offset):
+        # The outline is unknown: the radius of gyration bounds nothing, so accept.
+        return jnp.ones(offset.shape[:-1], dtype=bool)
+
+
+Section = Circle | Annulus | Rectangle | GeneralSection

@@ -1,0 +1,1 @@
+"""Motion in time: schemes, the march through the steps, and their error."""

@@ -1,0 +1,125 @@
+"""Newton's method for a step of the motion, behind it a continuation in the step and its loads.
+
+A step that Newton's method cannot take at once is first taken under the loads of before, shorter,
+from where inertia holds the rod, and then longer and longer. Then the loads change bit by bit to
+what they are now; a load that jumps does so however short the step is. What is found in the end
+solves the whole step: neither the time scheme nor the derivative knows how.
+"""
+
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from softrod_jax.bvp.boundary_value import (
+    Equations,
+    Found,
+    loads_of,
+    search_directly,
+    with_loads,
+)
+from softrod_jax.bvp.method import Guess
+from softrod_jax.bvp.newton import Borrowed, NewtonOptions
+from softrod_jax.foundation.results import RESULTS
+from softrod_jax.rod.ode import History
+
+# The way: up to 1 the part of the step, from there to 2 the part of the change of the loads.
+_GOAL = 2.0
+# The shortest advance, and how many tries there are.
+_SMALLEST, _MAX_TRIES = 1e-4, 30
+
+
+# How far the strains are extrapolated at most: stretches by this, a section's edge alike.
+_AHEAD = 0.1
+
+
+class Before(NamedTuple):
+    """The loads that a step comes from, the strains' rates there, the last factors."""
+
+    loads: list
+    rate: Float[Array, "points 6"]
+    borrowed: Borrowed
+
+
+class _Way(NamedTuple):
+    """Solved up to `done`; the next try is `advance` further."""
+
+    done: Array
+    advance: Array
+    U: Array
+    found: Found
+    factors: Any
+    tries: Array
+    running: Array
+
+
+def search_by_inertia(equations: Equations, options: NewtonOptions, U, before: Before):
+    """The unknowns of a step from the guess `U`, and how they were found.
+
+    `Found.load_steps` counts the parts; ordinary steps take one.
+    """
+
+    loads = loads_of(equations.rod)
+
+    def at_once(state):
+        """The whole step: its history and loads, and the guess."""
+        return equations.history, loads, state.U
+
+    def on_the_way(state):
+        """The step as far as the next try goes."""
+        c0, strain_h, velocity_h = equations.history
+        held = equations.fields(U)
+        _, q, w, _, _ = equations.layout.split(held.y)
+        velocity = jnp.concatenate([q, w], -1)
+        strain = held.strain
+        if equations.rod.front_viscosity is not None:
+            # That of fronts has no slope where nothing moves, and Newton's method no start.
+            ahead = (before.rate - strain_h) / c0 - strain
+            strain = strain + ahead / jnp.maximum(jnp.max(jnp.abs(ahead)) / _AHEAD, 1.0)
+        at = jnp.minimum(_GOAL, state.done + state.advance)
+        part, change = jnp.minimum(at, 1.0), jnp.maximum(at - 1.0, 0.0)
+        # c (y - held) + the rate at `held`: with c = c0 the step itself.
+        c = c0 / part
+        history = History(c, strain_h + (c0 - c) * strain, velocity_h + (c0 - c) * velocity)
+        between = [change * a + (1 - change) * b for a, b in zip(loads, before.loads)]
+        moving = equations.start(Guess(held.y, strain))
+        return history, between, jnp.where(state.done == 0.0, moving, state.U)
+
+    def attempt(state):
+        at = jnp.minimum(_GOAL, state.done + state.advance)
+        # Nothing is computed for what an ordinary step does not need.
+        history, now, start = jax.lax.cond(state.tries == 0, at_once, on_the_way, state)
+        problem = equations._replace(history=history, rod=with_loads(equations.rod, now))
+        borrowed = Borrowed(state.factors, before.borrowed.usable & (state.tries == 0))
+        new, found, factors = search_directly(problem, options, start, borrowed)
+        ok = found.result == RESULTS.successful
+        # After the whole way the whole step under the loads of before, then ever less.
+        first = (state.advance > 1.0) & (state.done == 0.0)
+        shorter = jnp.where(first, 1.0, jnp.minimum(1.0, state.advance) / 4)
+        advance = jnp.where(ok, 2 * (at - state.done), shorter)
+        past = state.found
+        return _Way(
+            done=jnp.where(ok, at, state.done),
+            advance=advance,
+            U=jnp.where(ok, new, state.U),
+            found=found._replace(
+                iterations=past.iterations + found.iterations,
+                load_steps=past.load_steps + ok,
+            ),
+            factors=factors,
+            tries=state.tries + 1,
+            running=~(ok & (at >= _GOAL))
+            & (ok | (advance >= _SMALLEST))
+            & (state.tries < _MAX_TRIES),
+        )
+
+    zero, none = jnp.zeros((), jnp.int32), jnp.zeros(())
+    found = Found(zero, zero, none, none, zero, jnp.array(True))
+    start = _Way(
+        none, jnp.array(_GOAL), U, found, before.borrowed.factors, zero, jnp.array(True)
+    )
+    end = jax.lax.while_loop(lambda state: state.running, attempt, start)
+    whole = (end.found.result != RESULTS.successful) | (end.done >= _GOAL)
+    result = jnp.where(whole, end.found.result, RESULTS.diverged).astype(jnp.int32)
+    return end.U, end.found._replace(result=result), end.factors

@@ -1,0 +1,270 @@
+"""How short steps in time, and how fine a grid along the rod, a given accuracy needs.
+
+Where no accuracy is asked for, a motion is solved once, and again only if its own estimates say
+that it may be wrong by much. Where one is, a motion is solved twice, the second time with more
+care in time, and on a finer grid where the estimate along the rod asks for it; their difference is
+taken for the error. That holds for stiff,
+damped and oscillating rods alike, and sees both kinds of error at once. It fails only if both
+motions miss an oscillation that is faster than their steps, and lasts.
+"""
+
+import itertools
+import math
+from collections.abc import Callable
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+
+from softrod_jax.bvp.method import Method
+from softrod_jax.foundation.results import RESULTS
+from softrod_jax.rod.constants import Rod
+from softrod_jax.stepping.marching import MOST_SUBSTEPS, LocalError
+from softrod_jax.stepping.schemes import TimeScheme
+
+# The limit of the local error in the first try, in tolerances, and how strict it may become. The
+# errors of many steps add up, so that it starts below one.
+_FIRST_LIMIT, _LAST_LIMIT = 0.1, 1e-6
+# The estimated error along the rod, in tolerances, from which on the grid is refined.
+_GRID_SHARE = 0.25
+# How much stricter the next limit is: as the error asks for, which falls a little slower than the
+# limit, within these factors.
+_LEAST_STRICTER, _MOST_STRICTER = 8.0, 64.0
+# Steps per radian of the slowest bending mode in the first try with equal steps.
+_STEPS_PER_RADIAN = 2
+# Where no tolerance is given: the lengths of the rod that are kept once steps turn out too long,
+# and the estimated error along the rod from which on a finer grid is tried.
+_KEPT, _ROUGH = 2e-3, 1e-4
+# The estimate of one motion may be too small by this factor. From there up to the limit, this many
+# times as many substeps must not move the tip by more than this part of the limit.
+_DOUBTFUL, _TIMES, _CONFIRMS = 0.52, 4, 0.3
+# Motions with more and more care at most, where no accuracy is asked for.
+_TRIES = 3
+# A finer grid is of no use where it does not lower that estimate by this: fronts are rough on any.
+_SMOOTHER = 0.25
+# Where the search for a grid of a motion ends.
+_MOST_INTERVALS = 96
+# Failures that more care may cure.
+_CURABLE = (RESULTS.diverged, RESULTS.max_iterations, RESULTS.inaccurate)
+
+
+def run_within(
+    run: Callable,
+    rod: Rod,
+    dt: float,
+    scheme: TimeScheme,
+    method: Method,
+    fixed_grid: bool,
+    *,
+    substeps: int,
+    tolerance: float,
+):
+    """`run(substeps, method)` with as much care as an error of `tolerance` lengths takes.
+
+    Returns the trajectory with its errors in `stats`, in lengths of the rod, and with the code
+    `inaccurate` where no care that is offered is enough.
+    """
+    care = _first_care(rod, dt, scheme, substeps, tolerance)
+    last, error, method, agrees = _with_more_care(
+        run, rod, run(care, method), care, method, fixed_grid, tolerance
+    )
+    if last.result == RESULTS.successful and not agrees:
+        # Solved, but never twice the same.
+        step = 0 if error is None else np.argmax(error > min(tolerance, error[-1]))
+        last = eqx.tree_at(
+            lambda t: (t.result, t.failed_step),
+            last,
+            (jnp.array(RESULTS.inaccurate, jnp.int32), jnp.array(step)),
+        )
+    return _with(last, error, method)
+
+
+def _with_more_care(run, rod, first, care, method, fixed_grid, tolerance, enough=None, tries=None):
+    """The last motion, its difference to the one before, its method, and whether they agree.
+
+    `first`: the motion with the `care` and `method` that are given. There are `tries` at most, and
+    else as many as there is more care to take. To agree is to differ by `enough` at most, by
+    `tolerance` where that is `None`.
+    """
+    enough = tolerance if enough is None else enough
+    last, excess, error = first, 1.0, None
+    good, good_method = (last if last.result == RESULTS.successful else None), method
+    for attempt in itertools.count(1):
+        if attempt > 1 and (_is_last(care, tolerance) or attempt == tries):
+            break
+        before = method
+        if not fixed_grid and _needs_finer_grid(last, method, tolerance):
+            method = method.finer()
+        # Where the grid was to blame, too, stricter steps than these may be for nothing.
+        care = _more_care(care, excess if method == before else 1.0)
+        code, last, excess = last.result, run(care, method), 1.0
+        if last.result != RESULTS.successful:
+            if last.result == code and int(code) not in _CURABLE:
+                break  # twice the same answer: there is none
+            continue
+        if good is not None:
+            error = _apart(last, good, rod)
+            excess = error[-1] / tolerance
+            # A front is rough on any grid, and then only another grid can tell.
+            if error[-1] <= enough and (method != good_method or _is_smooth(last, method)):
+                return last, error, method, True
+        good, good_method = last, method
+    return last, error, method, False
+
+
+def run_checked(
+    run: Callable,
+    rod: Rod,
+    dt: float,
+    scheme: TimeScheme,
+    method: Method,
+    *,
+    fixed_grid: bool,
+    fixed_steps: bool,
+    substeps: int,
+    limit: float,
+):
+    """`run(substeps, method, limit)`, and again where its estimates say that it may be wrong.
+
+    On finer grids until the tip is good to `_ROUGH` lengths. Where the steps in time may be wrong
+    by more than `limit` lengths, other motions tell their error; where it is larger and the
+    steps are not given (`fixed_steps`), the motion is that with substeps that errors choose.
+    """
+    once = lambda method: run(substeps, method, jnp.array(limit))
+    unjudged = lambda care, method: run(care, method, jnp.array(jnp.inf))
+    motion = once(method)
+    if not fixed_grid:
+        motion, method = _smoother(once, motion, method)
+    estimate = float(motion.stats["time_error"][-1])
+    moving = int(motion.result) in (RESULTS.successful, RESULTS.inaccurate)
+    if not (estimate > _DOUBTFUL * limit and moving and _is_smooth(motion, method)):
+        return _with(motion, None, method)
+    if estimate <= limit:
+        other = unjudged(jnp.array(_TIMES * substeps), method)
+        if other.result == RESULTS.successful and (
+            _apart(motion, other, rod)[-1] <= _CONFIRMS * limit
+        ):
+            return _with(motion, None, method)
+    judged = lambda error, **more: _judged(_with(motion, error, method, **more), limit)
+    care = _first_care(rod, dt, scheme, _TIMES * substeps, _KEPT)
+    fine = unjudged(care, method)
+    if fine.result == RESULTS.successful:
+        # Substeps that errors choose keep the limit that they are given.
+        left = np.asarray(fine.stats["time_error"])
+        left = np.minimum(left, _KEPT) if isinstance(care, LocalError) else left
+        error = _apart(motion, fine, rod) + left
+        if error[-1] <= limit:
+            return judged(error)
+    found, error, method_found, agrees = _with_more_care(
+        unjudged, rod, fine, care, method, fixed_grid, _KEPT, enough=_CONFIRMS * limit, tries=_TRIES
+    )
+    if not agrees:
+        if fine.result != RESULTS.successful:
+            return _with(motion, None, method)  # no other tells more than the estimate does
+        # The estimate is contradicted: it may be too small.
+        return judged(np.asarray(motion.stats["time_error"]) / _DOUBTFUL)
+    if not fixed_steps:
+        return _with(found, error, method_found)
+    needed = jnp.max(found.stats["substeps"])
+    return judged(_apart(motion, found, rod) + error, needed_substeps=needed)
+
+
+def _apart(motion, other, rod: Rod):
+    """How far the tips of two motions have been apart, (steps,), in lengths."""
+    moved = np.linalg.norm(motion.tip_positions - other.tip_positions, axis=-1)[1:]
+    return np.maximum.accumulate(moved) / float(rod.L)
+
+
+def advice(motion, dt: float, limit: float) -> str:
+    """What steps to take where those of a motion are too long; empty where they are not."""
+    error, needed = float(motion.stats["time_error"][-1]), int(motion.stats["needed_substeps"])
+    if int(motion.result) != RESULTS.inaccurate or not error > limit:
+        return ""
+    return (
+        f"Here the error in time is estimated at {error:.2g} lengths of the rod: take "
+        f"substeps={needed}, or dt={dt / needed:.2g} s. "
+    )
+
+
+def _smoother(run: Callable, motion, method: Method):
+    """The motion and the method, refined while the estimate along the rod asks for it."""
+    roughness = lambda motion: float(np.max(motion.stats["error"]))
+    curable = (RESULTS.successful, RESULTS.inaccurate)
+    while roughness(motion) > _ROUGH and int(motion.result) in curable:
+        if 2 * method.intervals > _MOST_INTERVALS:
+            break
+        finer = run(method.finer())
+        if int(finer.result) not in curable:
+            break
+        coarse, motion, method = motion, finer, method.finer()
+        if coarse.result == RESULTS.successful and (
+            roughness(finer) > _SMOOTHER * roughness(coarse)
+        ):
+            break
+    return motion, method
+
+
+def _judged(motion, limit: float):
+    """The motion, solved at every step, with the code that its error in time asks for."""
+    too_large = np.asarray(motion.stats["time_error"]) > limit
+    wrong = bool(too_large[-1])
+    code = jnp.array(RESULTS.inaccurate if wrong else RESULTS.successful, jnp.int32)
+    step = jnp.array(np.argmax(too_large) if wrong else -1)
+    return eqx.tree_at(lambda t: (t.result, t.failed_step), motion, (code, step))
+
+
+def _first_care(rod, dt, scheme, substeps, tolerance):
+    """What to give to `run` for its `substeps` at first: a `LocalError`, or a number."""
+    if scheme.one_step:
+        return LocalError(jnp.array(_FIRST_LIMIT * tolerance))
+    # On the device the number of substeps is an input: one program serves all tries.
+    return jnp.array(max(substeps, _first_substeps(rod, dt, tolerance)))
+
+
+def _more_care(care, excess: float):
+    """For an error that is `excess` times the tolerance."""
+    if isinstance(care, LocalError):
+        return LocalError(care.limit / np.clip(excess**1.25, _LEAST_STRICTER, _MOST_STRICTER))
+    return care * (4 if excess > 16 else 2)
+
+
+def _is_last(care, tolerance) -> bool:
+    if isinstance(care, LocalError):
+        return bool(care.limit < _LAST_LIMIT * tolerance)
+    return bool(2 * care > MOST_SUBSTEPS)
+
+
+def _first_substeps(rod: Rod, dt: float, tolerance: float) -> int:
+    """Equal substeps that resolve the slowest bending mode, unless that is damped out in one step.
+
+    The frequency is that of a cantilever with a tip mass, as a pendulum stiffened by gravity.
+    """
+    EI, L = float(np.max(rod.K_bt[:2])), float(rod.L)
+    mass = 0.2427 * float(rod.rho_A) * L + (0.0 if rod.payload is None else float(rod.payload))
+    elastic = 3 * EI / (L**3 * mass)
+    gravity = 0.0 if rod.gravity is None else float(np.linalg.norm(rod.gravity))
+    omega = math.sqrt(elastic + 2 * gravity / L)
+    damping = 0.0 if rod.B_bt is None else float(np.min(rod.B_bt[:2])) / EI
+    decay = min(elastic * damping / 2, omega)
+    if decay * dt > math.log(1 / tolerance):
+        return 1
+    return max(1, math.ceil(_STEPS_PER_RADIAN * omega * dt))
+
+
+def _needs_finer_grid(motion, method: Method, tolerance: float) -> bool:
+    if 2 * method.intervals > _MOST_INTERVALS:
+        return False
+    # One that is not a number is above no limit.
+    rough = np.max(motion.stats["error"]) > _GRID_SHARE * tolerance
+    return bool(rough) or int(motion.result) in _CURABLE
+
+
+def _is_smooth(motion, method: Method) -> bool:
+    return not np.max(motion.stats["error"]) > method.max_error
+
+
+def _with(motion, error, method, **more):
+    stats = {**motion.stats, "intervals": method.intervals, **more}
+    if error is not None:
+        stats["time_error"] = error
+    return eqx.tree_at(lambda t: t.stats, motion, stats)
