@@ -313,7 +313,7 @@ def test_rounding_errors_are_not_off_the_plane():
     offsets = 4e-3 * np.array([[np.cos(angle), np.sin(angle)], [0.0, -1.0]])
     scene = scene_in("yz", plane="yz", tendons=sr.Tendons(offsets))
     assert offsets[0, 0] != 0.0
-    sr.scene_checks.checked_scene("here", scene)
+    sr.scene.checks.checked_scene("here", scene)
 
 
 def test_keys_without_meaning_are_refused():
