@@ -6,8 +6,10 @@ import numpy as np
 import pytest
 
 from calibration import RecordingError, load_recording
-from softrod_jax.scene.scene import Chambers, Scene, Tendons, as_arrays
+from softrod_jax.scene.chambers import Chambers
+from softrod_jax.scene.scene import Scene, as_arrays
 from softrod_jax.scene.sections import Circle
+from softrod_jax.scene.tendons import Tendons
 
 
 def rod():

@@ -8,8 +8,9 @@ import pytest
 
 from calibration import RecordingError, load_recording
 from calibration.data.tables import read_table
-from softrod_jax.scene.scene import Scene, Tendons, as_arrays
+from softrod_jax.scene.scene import Scene, as_arrays
 from softrod_jax.scene.sections import Circle
+from softrod_jax.scene.tendons import Tendons
 
 TIMES = np.arange(40) / 50
 # A tip that rests, then moves along x and sinks: in m, in the scene's frame.

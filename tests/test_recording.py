@@ -13,7 +13,8 @@ from calibration import (
     load_recording,
     write_log,
 )
-from softrod_jax.scene.scene import Scene, as_arrays, hybrid_robot
+from softrod_jax.scene.robots import hybrid_robot
+from softrod_jax.scene.scene import Scene, as_arrays
 from softrod_jax.scene.sections import Rectangle
 
 BEAM = Path(__file__).parents[2] / "shared" / "data" / "beam"

@@ -5,18 +5,14 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from softrod_jax.scene.chambers import Chambers
 from softrod_jax.scene.file import load_scene, save_scene
-from softrod_jax.scene.scene import (
-    Chambers,
-    Payload,
-    Scene,
-    Tendons,
-    TipLoad,
-    as_arrays,
-    hybrid_robot,
-)
+from softrod_jax.scene.loads import Payload, TipLoad
+from softrod_jax.scene.robots import hybrid_robot
+from softrod_jax.scene.scene import Scene, as_arrays
 from softrod_jax.scene.schema import SceneError
 from softrod_jax.scene.sections import Annulus, Circle, GeneralSection, Rectangle
+from softrod_jax.scene.tendons import Tendons
 
 ROBOT = """
 [rod]

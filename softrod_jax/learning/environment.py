@@ -20,7 +20,8 @@ from softrod_jax.bvp.collocation import Collocation
 from softrod_jax.bvp.method import Method
 from softrod_jax.foundation.results import RESULTS, result_message
 from softrod_jax.learning.stepping import Action, Stepper
-from softrod_jax.scene.scene import Scene, hybrid_robot
+from softrod_jax.scene.robots import hybrid_robot
+from softrod_jax.scene.scene import Scene
 from softrod_jax.statics import solve_static
 from softrod_jax.stepping.schemes import BDFAlpha, TimeScheme
 

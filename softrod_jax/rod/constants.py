@@ -11,7 +11,8 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from softrod_jax.scene.planes import about_normal, angle_in, in_space, turn_in, vector_in
-from softrod_jax.scene.scene import Scene, Tendons
+from softrod_jax.scene.scene import Scene
+from softrod_jax.scene.tendons import Tendons
 
 Scalar = Float[Array, ""]
 

@@ -18,11 +18,14 @@ import numpy as np
 from softrod_jax.foundation.precision import require_float64
 from softrod_jax.foundation.whole_files import whole_file
 from softrod_jax.scene import schema
+from softrod_jax.scene.chambers import Chambers
 from softrod_jax.scene.checks import impossible
+from softrod_jax.scene.loads import Payload, TipLoad
 from softrod_jax.scene.planes import misfits
-from softrod_jax.scene.scene import Chambers, Payload, Scene, Tendons, TipLoad, as_arrays
+from softrod_jax.scene.scene import Scene, as_arrays
 from softrod_jax.scene.schema import SceneError, complaint, read_table
 from softrod_jax.scene.sections import Annulus, Circle, GeneralSection, Rectangle
+from softrod_jax.scene.tendons import Tendons
 
 
 def load_scene(path: str | PathLike) -> Scene:

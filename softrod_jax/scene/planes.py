@@ -17,7 +17,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from softrod_jax.scene.scene import PLANES, Scene, Tendons
+from softrod_jax.scene.scene import PLANES, Scene
+from softrod_jax.scene.tendons import Tendons
 
 # Components off the plane that are smaller than this part of the largest are rounding errors.
 _ROUNDING = 1e-12

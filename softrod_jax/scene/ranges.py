@@ -19,6 +19,8 @@ class Number:
     - `above`, `below` exclude their bound, `at_least` includes it.
     - `zero_is_absent`: zero throughout means that the effect is not in the scene.
     - `per_actuator`: the field has one such value for each actuator, as rows of one array.
+    - `each`: the field has a tuple of such values or `None`, one for each actuator.
+    - `rows`: the field is an array with this many rows at least, each of which is such a value.
     - `harmless`: what stands in for a traced value that cannot be.
     """
 
@@ -29,7 +31,9 @@ class Number:
     below: float = math.inf
     zero_is_absent: bool = False
     per_actuator: bool = False
-    harmless: float | tuple[float, ...] = 0.0
+    each: bool = False
+    rows: int = 0
+    harmless: Any = 0.0
 
     def __str__(self) -> str:
         shapes = ["a number" if n == 0 else f"a list of {n} numbers" for n in self.sizes]
@@ -42,6 +46,8 @@ class Number:
             )
             if math.isfinite(bound)
         ]
+        if self.rows:
+            shapes = [f"{self.rows} or more lists of {n} numbers each" for n in self.sizes]
         unit = f" [{self.unit}]" if self.unit else ""
         text = " or ".join(shapes) + unit
         return text + (", " + " and ".join(bounds) if bounds else ", finite")
@@ -53,8 +59,8 @@ class Number:
 
     def has_shape(self, shape: tuple[int, ...]) -> bool:
         """Whether an array of this shape can be such a value, or rows of them."""
-        if self.per_actuator:
-            if not shape or shape[0] == 0:
+        if self.per_actuator or self.rows:
+            if not shape or shape[0] < max(self.rows, 1):
                 return False
             shape = shape[1:]
         return shape in [(n,) if n else () for n in self.sizes]
@@ -64,11 +70,23 @@ class Number:
 ANY = Number(harmless=1.0)
 
 
-def number(unit: str = "", *, optional: bool = False, converter=None, **range_: Any):
+_MISSING = object()
+
+
+def number(
+    unit: str = "",
+    *,
+    optional: bool = False,
+    converter=None,
+    default: Any = _MISSING,
+    **range_: Any,
+):
     """A field of a class of the scene, and the range of its numbers; `None` where `optional`."""
     keywords: dict[str, Any] = {"metadata": {"number": Number(unit, **range_)}}
-    if optional:
+    if optional or range_.get("each"):
         keywords["default"] = None
+    if default is not _MISSING:
+        keywords["default"] = default
     if converter is not None:
         keywords["converter"] = converter
     return eqx.field(**keywords)

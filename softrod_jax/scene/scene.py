@@ -5,13 +5,19 @@ differentiated. A part that is `None` is not in the scene, and nothing of it is 
 SI units. The rod lies along z of the base frame when it is straight.
 """
 
+import dataclasses
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from softrod_jax.scene.chambers import Chambers
+from softrod_jax.scene.loads import DEAD_LOAD, Load, Marker, Mass, Payload, TipLoad
 from softrod_jax.scene.ranges import number
-from softrod_jax.scene.sections import Circle, Section
+from softrod_jax.scene.sections import Section
+from softrod_jax.scene.segments import DAMPING, Segment, Stiffness
+from softrod_jax.scene.tendons import Tendons
 
 Scalar = Float[Array, ""]
 
@@ -20,72 +26,16 @@ PLANES = ("xz", "yz")
 
 # By how much the norm of a unit quaternion may differ from one.
 _UNIT = 1e-6
-# Zero of these means that there are none.
-_LOAD = {"optional": True, "sizes": (3,), "zero_is_absent": True}
-_DAMPING = {"optional": True, "sizes": (0, 3), "at_least": 0, "zero_is_absent": True}
-
-
-class Tendons(eqx.Module):
-    """Frictionless tendons, parallel to the rod, that end at the tip.
-
-    - `offsets` [m], (tendons, 2): x and y of each tendon in the section.
-    """
-
-    offsets: Float[Array, "tendons 2"] = number(
-        "m", sizes=(2,), per_actuator=True, harmless=0.01, converter=jnp.asarray
-    )
-
-    @property
-    def count(self) -> int:
-        return self.offsets.shape[0]
-
-    def routing(self, s):
-        """Tendon positions r_i [m] and slopes r_i,s [-] in the section at arc length `s`.
-
-        Both (tendons, 3), or (*points, tendons, 3) for `s` (*points,) if they vary along the rod.
-        The slope is `None` for a straight tendon: its terms vanish.
-        """
-        del s
-        r = jnp.concatenate([self.offsets, jnp.zeros_like(self.offsets[:, :1])], axis=1)
-        return r, None
-
-
-class Chambers(eqx.Module):
-    """Air chambers that run along the whole rod, capped at the tip.
-
-    - `areas` [m^2], (chambers,): the cross-section of each.
-    - `offsets` [m], (chambers, 2): x and y of each in the section.
-    """
-
-    areas: Float[Array, "chambers"] = number(
-        "m^2", above=0, per_actuator=True, harmless=0.01, converter=jnp.asarray
-    )
-    offsets: Float[Array, "chambers 2"] = number(
-        "m", sizes=(2,), per_actuator=True, harmless=0.01, converter=jnp.asarray
-    )
-
-    @property
-    def count(self) -> int:
-        return self.areas.shape[0]
-
-
-class Payload(eqx.Module):
-    """A point mass [kg] on the axis at the tip: weight (if there is gravity) and inertia."""
-
-    mass: Scalar = number("kg", at_least=0, zero_is_absent=True, converter=jnp.asarray)
-
-
-class TipLoad(eqx.Module):
-    """Dead loads at the tip, in the base frame: `force` [N] and `moment` [N m], (3,) each."""
-
-    force: Float[Array, "3"] | None = number("N", **_LOAD)
-    moment: Float[Array, "3"] | None = number("N m", **_LOAD)
 
 
 class Scene(eqx.Module):
     """A clamped rod with its actuators and its surroundings.
 
     - `length` [m], `section`, `young_modulus` [Pa], `poisson_ratio` [-], `density` [kg/m^3].
+    - `segments`: parts of the rod, from base to tip, each with a length and a section of its own,
+      and whatever else is not as this scene says. `length` is then their sum, and `section` None.
+    - `section_at_end`: the section at the tip, to which its dimensions change linearly.
+    - `stiffness` instead of the moduli and `linear_density` [kg/m] instead of the density.
     - `bending_damping` B_bt [N m^2 s] and `shear_damping` B_se [N s]: Kelvin-Voigt, a number
       or (3,) for x, y, z of the body frame.
     - `gravity` [m/s^2], (3,), base frame.
@@ -106,15 +56,15 @@ class Scene(eqx.Module):
     the numbers can be is checked by the calls that use them: see `checks.py`.
     """
 
-    length: Scalar = number("m", above=0, harmless=1.0)
-    section: Section
-    young_modulus: Scalar = number("Pa", above=0, harmless=1.0)
-    poisson_ratio: Scalar = number(above=-1, below=0.5)
-    density: Scalar = number("kg/m^3", above=0, harmless=1.0)
-    bending_damping: Float[Array, "..."] | None = number("N m^2 s", **_DAMPING)
-    shear_damping: Float[Array, "..."] | None = number("N s", **_DAMPING)
-    gravity: Float[Array, "3"] | None = number("m/s^2", **_LOAD)
-    drag_coefficient: Float[Array, "..."] | None = number("kg/m^2", **_DAMPING)
+    length: Scalar | None = number("m", optional=True, above=0, harmless=1.0)
+    section: Section | None = None
+    young_modulus: Scalar | None = number("Pa", optional=True, above=0, harmless=1.0)
+    poisson_ratio: Scalar | None = number(optional=True, above=-1, below=0.5)
+    density: Scalar | None = number("kg/m^3", optional=True, above=0, harmless=1.0)
+    bending_damping: Float[Array, "..."] | None = number("N m^2 s", **DAMPING)
+    shear_damping: Float[Array, "..."] | None = number("N s", **DAMPING)
+    gravity: Float[Array, "3"] | None = number("m/s^2", **DEAD_LOAD)
+    drag_coefficient: Float[Array, "..."] | None = number("kg/m^2", **DAMPING)
     tendons: Tendons | None = None
     chambers: Chambers | None = None
     payload: Payload | None = None
@@ -128,14 +78,31 @@ class Scene(eqx.Module):
     base_quaternion: Float[Array, "4"] | None = number(
         optional=True, sizes=(4,), harmless=(1.0, 0.0, 0.0, 0.0)
     )
+    segments: tuple[Segment, ...] | None = None
+    section_at_end: Section | None = None
+    stiffness: Stiffness | None = None
+    linear_density: Scalar | None = number("kg/m", optional=True, above=0, harmless=1.0)
+    loads: tuple[Load, ...] | None = None
+    masses: tuple[Mass, ...] | None = None
+    markers: tuple[Marker, ...] | None = None
     inextensible: bool = eqx.field(static=True, default=False)
     plane: str | None = eqx.field(static=True, default=None)
+
+    def __post_init__(self):
+        if self.segments is not None:
+            self.segments = tuple(self.segments)
+            self.length = total_length(self.segments)
+        for name in ("loads", "masses", "markers"):
+            parts = getattr(self, name)
+            setattr(self, name, tuple(parts) if parts else None)
 
     def __check_init__(self):
         if not isinstance(self.inextensible, bool):
             raise ValueError(f"Scene: inextensible={self.inextensible!r}; use True or False")
         if self.plane is not None and self.plane not in PLANES:
             raise ValueError(f'Scene: plane={self.plane!r} is not offered; use "xz", "yz" or None')
+        if self.segments == ():
+            raise ValueError("Scene: segments=(); give at least one, or leave segments out")
 
     def relations(self):
         """What must hold besides the ranges: a field, whether it does, and what is expected."""
@@ -148,9 +115,48 @@ class Scene(eqx.Module):
             yield "base_quaternion", abs(norm - 1) <= _UNIT, expected
 
     @property
+    def parts(self) -> tuple[Segment, ...]:
+        """Its segments with all that they share; one where there are none."""
+        if self.segments is None:
+            own = {name: getattr(self, name) for name in ("length", "section", "section_at_end")}
+            return (Segment(**own, **{name: getattr(self, name) for name in SHARED}),)
+        return tuple(map(self._completed, self.segments))
+
+    def _completed(self, segment: Segment) -> Segment:
+        given = {name: getattr(segment, name) for name in SHARED}
+        shared = {n: getattr(self, n) if x is None else x for n, x in given.items()}
+        # What is measured stands instead of what it follows from, and the other way round.
+        if segment.stiffness is None and segment.young_modulus is not None:
+            shared["stiffness"] = None
+        if segment.linear_density is None and segment.density is not None:
+            shared["linear_density"] = None
+        return dataclasses.replace(segment, **shared)
+
+    @property
     def shear_modulus(self) -> Scalar:
         """G = E / (2 (1 + nu)) [Pa]."""
         return self.young_modulus / (2 * (1 + self.poisson_ratio))
+
+
+# What segments have in common unless they say otherwise.
+SHARED = (
+    "young_modulus",
+    "poisson_ratio",
+    "density",
+    "stiffness",
+    "linear_density",
+    "bending_damping",
+    "shear_damping",
+    "drag_coefficient",
+    "shear_correction",
+    "rest_curvature",
+    "rest_stretch",
+)
+
+
+def total_length(segments: tuple[Segment, ...]) -> Scalar:
+    """The sum of their lengths [m]."""
+    return sum(segment.length for segment in segments)
 
 
 def as_arrays(scene: Scene) -> Scene:
@@ -163,29 +169,7 @@ def as_arrays(scene: Scene) -> Scene:
 
 def is_list(x) -> bool:
     """Whether it is a list of numbers, as Python writes an array."""
-    return type(x) in (list, tuple)
-
-
-def hybrid_robot(length: float = 0.1, gravity=None) -> Scene:
-    """The robot of Roshanfar et al., Actuators 2024, 13(1):8, Table 1.
-
-    Three tendons 4 mm off the axis at 0, 120 and 240 degrees, one central chamber of 3 mm
-    diameter, a solid circle of radius 6 mm. The table gives no length: 0.1 m is an
-    assumption. `gravity` [m/s^2], (3,), is absent unless given.
-    """
-    angle = jnp.deg2rad(jnp.array([0.0, 120.0, 240.0]))
-    radius = 6e-3
-    return as_arrays(
-        Scene(
-            length=length,
-            section=Circle(radius),
-            young_modulus=0.05e6,
-            poisson_ratio=0.49,
-            density=1070.0,
-            bending_damping=1e-6,
-            gravity=gravity,
-            drag_coefficient=0.03,
-            tendons=Tendons(4e-3 * jnp.stack([jnp.cos(angle), jnp.sin(angle)], axis=1)),
-            chambers=Chambers(jnp.array([jnp.pi * 1.5e-3**2]), jnp.zeros((1, 2))),
-        )
-    )
+    if type(x) not in (list, tuple):
+        return False
+    known = lambda y: is_list(y) or not (y is None or isinstance(y, eqx.Module))
+    return all(map(known, x))

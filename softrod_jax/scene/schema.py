@@ -11,9 +11,12 @@ from typing import Any
 
 import numpy as np
 
+from softrod_jax.scene.chambers import Chambers
+from softrod_jax.scene.loads import Payload, TipLoad
 from softrod_jax.scene.ranges import Number, is_required, numbers_of
-from softrod_jax.scene.scene import PLANES, Chambers, Payload, Scene, Tendons, TipLoad
+from softrod_jax.scene.scene import PLANES, Scene
 from softrod_jax.scene.sections import Annulus, Circle, GeneralSection, Rectangle
+from softrod_jax.scene.tendons import Tendons
 
 
 class SceneError(ValueError):

@@ -1,0 +1,69 @@
+"""Segments: parts of the rod with a section, a material and a shape of their own."""
+
+import equinox as eqx
+from jaxtyping import Array, Float
+
+from softrod_jax.scene.ranges import number
+from softrod_jax.scene.sections import Section
+
+Scalar = Float[Array, ""]
+
+DAMPING = {"optional": True, "sizes": (0, 3), "at_least": 0, "zero_is_absent": True}
+
+
+class Stiffness(eqx.Module):
+    """Stiffness as it was measured, instead of moduli: of fibres, of what is built up.
+
+    - `bending` [N m^2], (2,): EI about x and about y; `torsion` GJ [N m^2].
+    - `axial` EA [N] and `shear` [N], (2,): GA along x and along y. Of a rod that is inextensible
+      they are not needed.
+    """
+
+    bending: Float[Array, "2"] = number("N m^2", sizes=(2,), above=0, harmless=1.0)
+    torsion: Scalar = number("N m^2", above=0, harmless=1.0)
+    axial: Scalar | None = number("N", optional=True, above=0, harmless=1.0)
+    shear: Float[Array, "2"] | None = number("N", optional=True, sizes=(2,), above=0, harmless=1.0)
+
+
+class Segment(eqx.Module):
+    """A part of the rod, from base to tip.
+
+    - `length` [m]; `section`: at its beginning, and throughout where there is no `section_at_end`,
+      to which the dimensions change linearly (the same shape).
+    - The others as in `Scene`, for this segment. What is `None` here is as the scene says.
+    - `intervals` of the grid; chosen where `None`.
+    """
+
+    length: Scalar = number("m", above=0, harmless=1.0)
+    section: Section
+    section_at_end: Section | None = None
+    young_modulus: Scalar | None = number("Pa", optional=True, above=0, harmless=1.0)
+    poisson_ratio: Scalar | None = number(optional=True, above=-1, below=0.5)
+    density: Scalar | None = number("kg/m^3", optional=True, above=0, harmless=1.0)
+    stiffness: Stiffness | None = None
+    linear_density: Scalar | None = number("kg/m", optional=True, above=0, harmless=1.0)
+    bending_damping: Float[Array, "..."] | None = number("N m^2 s", **DAMPING)
+    shear_damping: Float[Array, "..."] | None = number("N s", **DAMPING)
+    drag_coefficient: Float[Array, "..."] | None = number("kg/m^2", **DAMPING)
+    shear_correction: Scalar | None = number(optional=True, above=0, harmless=1.0)
+    rest_curvature: Float[Array, "3"] | None = number("1/m", optional=True, sizes=(3,))
+    rest_stretch: Float[Array, "3"] | None = number(
+        optional=True, sizes=(3,), harmless=(0.0, 0.0, 1.0)
+    )
+    intervals: int | None = eqx.field(static=True, default=None)
+
+    def __check_init__(self):
+        if self.section_at_end is not None and type(self.section_at_end) is not type(self.section):
+            kinds = [type(x).__name__ for x in (self.section, self.section_at_end)]
+            raise ValueError(f"Segment: a taper from {kinds[0]} to {kinds[1]}; use the same shape")
+        count = self.intervals
+        if count is not None and (
+            isinstance(count, bool) or not isinstance(count, int) or count < 1
+        ):
+            raise ValueError(f"Segment: intervals={count!r}; a whole number from 1 is needed")
+
+    def relations(self):
+        """What must hold besides the ranges: a field, whether it does, and what is expected."""
+        v = self.rest_stretch
+        if v is not None:
+            yield "rest_stretch", v[2] > 0, lambda: "the third number, along the rod, is above 0"

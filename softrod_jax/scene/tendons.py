@@ -1,0 +1,186 @@
+"""Tendons: where they run in the section, and over which part of the rod.
+
+A tendon runs at `offset + path(s)`. A path is a class of its own: a new one says where it is as a
+function of the arc length, and its slope follows by differentiation.
+"""
+
+import abc
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from softrod_jax.scene.ranges import number
+
+Scalar = Float[Array, ""]
+
+GUIDES = ("rod", "disks")
+# Numbers that single tendons or chambers have, or not.
+Each = tuple[Scalar | None, ...]
+
+
+class AbstractPath(eqx.Module):
+    """A way through the sections, from where a tendon begins to where it ends."""
+
+    @abc.abstractmethod
+    def place(self, s: Scalar, start: Scalar, end: Scalar) -> Float[Array, "2"]:
+        """x and y [m] in the section at arc length `s` [m], between `start` and `end`."""
+
+
+class Helix(AbstractPath):
+    """A helix about the rod's axis.
+
+    - `radius` [m]; `angle` [rad]: where it begins, from the x axis; `turns`: right-handed about z,
+      over the tendon's whole part.
+    """
+
+    radius: Scalar = number("m", at_least=0, harmless=0.01)
+    angle: Scalar = number("rad", default=0.0)
+    turns: Scalar = number(default=1.0)
+
+    def place(self, s, start, end):
+        angle = self.angle + 2 * jnp.pi * self.turns * (s - start) / (end - start)
+        return self.radius * jnp.stack([jnp.cos(angle), jnp.sin(angle)])
+
+
+class Line(AbstractPath):
+    """A straight line from one place in the section to another, `begin` and `end` [m], (2,)."""
+
+    begin: Float[Array, "2"] = number("m", sizes=(2,))
+    end: Float[Array, "2"] = number("m", sizes=(2,))
+
+    def place(self, s, start, end):
+        x = (s - start) / (end - start)
+        return (1 - x) * self.begin + x * self.end
+
+
+class Points(AbstractPath):
+    """A cubic spline with continuous curvature through `points` (s, x, y) [m], (points, 3).
+
+    It has no third derivative jump next to its ends ("not a knot"); two or three points give a
+    line or a parabola. Beyond the first and the last point the outermost polynomials go on.
+    """
+
+    points: Float[Array, "points 3"] = number(
+        "m", sizes=(3,), rows=2, harmless=((0.0, 0.0, 0.0), (1.0, 0.0, 0.0))
+    )
+
+    def relations(self):
+        """What must hold besides the ranges: a field, whether it does, and what is expected."""
+        s = self.points[:, 0]
+        yield "points", s[1:] > s[:-1], lambda: "expected s to rise from point to point"
+
+    def place(self, s, start, end):
+        del start, end
+        knots, values = self.points[:, 0], self.points[:, 1:]
+        scale = knots[-1] - knots[0]
+        x, at = (knots - knots[0]) / scale, (s - knots[0]) / scale
+        slopes = _spline_slopes(x, values)
+        k = jnp.clip(jnp.searchsorted(x, at, side="right") - 1, 0, len(x) - 2)
+        h = x[k + 1] - x[k]
+        t = (at - x[k]) / h
+        y0, y1, d0, d1 = values[k], values[k + 1], h * slopes[k], h * slopes[k + 1]
+        cubic = t * (1 - t) * ((1 - t) * (d0 - (y1 - y0)) + t * ((y1 - y0) - d1))
+        return (1 - t) * y0 + t * y1 + cubic
+
+
+def _spline_slopes(x: Float[Array, "n"], y: Float[Array, "n 2"]) -> Float[Array, "n 2"]:
+    """Slopes at the knots of the cubic spline with continuous second derivatives."""
+    n = x.shape[0]
+    h = jnp.diff(x)
+    rise = jnp.diff(y, axis=0) / h[:, None]
+    if n == 2:
+        return jnp.concatenate([rise, rise])
+    if n == 3:
+        bend = (rise[1] - rise[0]) / (x[2] - x[0])
+        return jnp.stack([rise[0] - h[0] * bend, rise[0] + h[0] * bend, rise[1] + h[1] * bend])
+    A, b = jnp.zeros((n, n)), jnp.zeros((n, 2))
+    i = np.arange(1, n - 1)
+    A = A.at[i, i - 1].set(h[1:]).at[i, i].set(2 * (h[1:] + h[:-1])).at[i, i + 1].set(h[:-1])
+    b = b.at[i].set(3 * (h[1:, None] * rise[:-1] + h[:-1, None] * rise[1:]))
+    # The first two and the last two polynomials are one each.
+    A = A.at[0, 0].set(h[1]).at[0, 1].set(h[0] + h[1])
+    A = A.at[-1, -1].set(h[-2]).at[-1, -2].set(h[-1] + h[-2])
+    first = (h[0] + 2 * (h[0] + h[1])) * h[1] * rise[0] + h[0] ** 2 * rise[1]
+    last = (h[-1] + 2 * (h[-1] + h[-2])) * h[-2] * rise[-1] + h[-1] ** 2 * rise[-2]
+    b = b.at[0].set(first / (h[0] + h[1])).at[-1].set(last / (h[-1] + h[-2]))
+    return jnp.linalg.solve(A, b)
+
+
+class Tendons(eqx.Module):
+    """Frictionless tendons.
+
+    - `offsets` [m], (tendons, 2): x and y of each in the section.
+    - `paths`: for each a path that is added to its offset, or `None` for one parallel to the rod.
+    - `starts_at`, `ends_at` [m]: for each the arc length where it begins and where it is fixed;
+      `None` for the base and for the tip.
+    - `guided`: "rod", inside the sections, or "disks", which may carry it outside; one for each or
+      one for all.
+    """
+
+    offsets: Float[Array, "tendons 2"] = number(
+        "m", sizes=(2,), per_actuator=True, harmless=0.01, converter=jnp.asarray
+    )
+    paths: tuple[AbstractPath | None, ...] | None = None
+    starts_at: Each | None = number("m", each=True, at_least=0)
+    ends_at: Each | None = number("m", each=True, above=0, harmless=1.0)
+    guided: str | tuple[str, ...] = eqx.field(static=True, default="rod")
+
+    def __check_init__(self):
+        for name in ("paths", "starts_at", "ends_at"):
+            check_each("Tendons", name, getattr(self, name), self.count, "tendon")
+        for way in self.guides:
+            if way not in GUIDES:
+                raise ValueError(f'Tendons: guided={way!r} is not offered; use "rod" or "disks"')
+        check_each("Tendons", "guided", self.guides, self.count, "tendon")
+
+    @property
+    def count(self) -> int:
+        return self.offsets.shape[0] if hasattr(self.offsets, "shape") else len(self.offsets)
+
+    @property
+    def guides(self) -> tuple[str, ...]:
+        """By what each is guided."""
+        return (self.guided,) * self.count if isinstance(self.guided, str) else self.guided
+
+    def part(self, i: int, length) -> tuple[Scalar, Scalar]:
+        """Where tendon `i` of a rod of this `length` begins and ends [m]."""
+        return part_of(self, i, length)
+
+    def routing(self, s, length=None):
+        """Tendon positions r_i [m] and slopes r_i,s [-] in the section at arc length `s`.
+
+        Both (tendons, 3), or (*points, tendons, 3) for `s` (*points,) if they vary along the rod.
+        The slope is `None` where all are straight: its terms vanish. `length` [m] of the rod,
+        which paths need.
+        """
+        r = jnp.concatenate([self.offsets, jnp.zeros_like(self.offsets[:, :1])], axis=1)
+        if self.paths is None or all(path is None for path in self.paths):
+            return r, None
+        s = jnp.asarray(s)
+        places, slopes = [], []
+        for i, path in enumerate(self.paths):
+            at, slope = jnp.zeros((*s.shape, 2)), jnp.zeros((*s.shape, 2))
+            if path is not None:
+                place = lambda x, path=path, ends=self.part(i, length): path.place(x, *ends)
+                with_slope = lambda x, place=place: jax.jvp(place, (x,), (jnp.ones_like(x),))
+                at, slope = jnp.vectorize(with_slope, signature="()->(n),(n)")(s)
+            places.append(at)
+            slopes.append(slope)
+        flat = lambda a: jnp.concatenate([a, jnp.zeros_like(a[..., :1])], -1)
+        return r + flat(jnp.stack(places, -2)), flat(jnp.stack(slopes, -2))
+
+
+def part_of(actuators, i: int, length):
+    """Where actuator `i` begins and ends [m]: at the base and at the tip where nothing is said."""
+    start = None if actuators.starts_at is None else actuators.starts_at[i]
+    end = None if actuators.ends_at is None else actuators.ends_at[i]
+    return jnp.zeros(()) if start is None else start, length if end is None else end
+
+
+def check_each(who: str, name: str, values, count: int, of: str):
+    """Raises `ValueError` unless there is one of `values` for each of `count`, or none at all."""
+    if values is not None and len(values) != count:
+        raise ValueError(f"{who}: {len(values)} of {name}; expected {count}, one for each {of}")
