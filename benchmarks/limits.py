@@ -67,10 +67,11 @@ def operations(jaxpr) -> int:
 def parts():
     """{part: (function of one rod, its arguments)}."""
     tensions = jnp.array([0.1, 0.2, 0.3])
-    spacing = SCENE.length / (METHOD.points(1.0).shape[0] - 1)
-    rod_under = lambda tensions: make_rod(SCENE, tensions, jnp.array([1e4]), spacing=spacing)
+    rod_under = lambda tensions: make_rod(
+        SCENE, tensions, jnp.array([1e4]), grid=METHOD.grid(SCENE), spread_fronts=True
+    )
     layout = layout_of(rod_under(tensions), dynamic=True)
-    guess = unloaded_guess(METHOD, layout, rod_under(tensions))
+    guess = unloaded_guess(layout, rod_under(tensions))
     c0 = jnp.array(1.5 / DT)
     history = History(c0, -c0 * guess.strain, jnp.zeros_like(guess.strain))
 

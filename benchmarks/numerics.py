@@ -17,10 +17,10 @@ import numpy as np
 from report import machine, publish, table
 
 import softrod_jax as sr
-from softrod_jax import statics
 from softrod_jax.bvp import newton
 from softrod_jax.bvp.block_sweep import factorise, solve_sweeps
 from softrod_jax.bvp.boundary_value import Equations, search_directly
+from softrod_jax.bvp.unloaded import unloaded_guess
 from softrod_jax.rod import constants as rod
 from softrod_jax.rod.ode import History, Layout
 from softrod_jax.stepping import marching
@@ -60,8 +60,8 @@ def farthest(a, b):
 def sweeps() -> str:
     """The linear system of one step, by the sweeps and by products of transfer matrices."""
     method, layout = sr.Collocation(), Layout(attitude=True, dynamic=True)
-    moving = rod.make_rod(across())
-    guess = statics.unloaded_guess(method, layout, moving)
+    moving = rod.make_rod(across(), grid=method.grid(across()))
+    guess = unloaded_guess(layout, moving)
     rhs = np.random.default_rng(0).normal(size=(method.intervals, layout.size))
     rows = []
     for dt in (0.1, 0.05, 0.02, 0.01, 5e-3, 1e-3, 1e-4):

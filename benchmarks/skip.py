@@ -132,9 +132,9 @@ def programs_inside(equation) -> list[Jaxpr]:
 def count_unknowns(function, scene) -> int:
     """At each point along the rod."""
     dynamic, method = function is not equilibrium, sr.Collocation()
-    rod = make_rod(scene, *actuation(scene), dynamic=dynamic)
+    rod = make_rod(scene, *actuation(scene), dynamic=dynamic, grid=method.grid(scene))
     layout = layout_of(rod, dynamic=dynamic)
-    return method.unknowns(unloaded_guess(method, layout, rod), rod).shape[1]
+    return method.unknowns(unloaded_guess(layout, rod), rod).shape[1]
 
 
 def main() -> None:

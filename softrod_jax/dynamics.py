@@ -9,7 +9,7 @@ from jaxtyping import Array, Float, Int
 
 from softrod_jax.bvp.collocation import Collocation
 from softrod_jax.bvp.grid_control import first_grid
-from softrod_jax.bvp.method import Method
+from softrod_jax.bvp.method import AbstractMethod
 from softrod_jax.bvp.newton import NewtonOptions
 from softrod_jax.foundation.compiling import compiled
 from softrod_jax.foundation.precision import require_float64
@@ -23,7 +23,7 @@ from softrod_jax.scene.inputs import actuation, time_step, whole_number
 from softrod_jax.scene.scene import Scene
 from softrod_jax.statics import StaticSolution
 from softrod_jax.stepping.marching import MOST_SUBSTEPS, Beginning, march
-from softrod_jax.stepping.schemes import SDIRK, TimeScheme
+from softrod_jax.stepping.schemes import SDIRK, AbstractTimeScheme
 from softrod_jax.stepping.step_control import advice, run_checked, run_within
 
 
@@ -69,8 +69,8 @@ def simulate(
     tolerance: float | None = None,
     max_time_error: float = 1e-2,
     initial: StaticSolution | None = None,
-    scheme: TimeScheme = SDIRK(),
-    method: Method | None = None,
+    scheme: AbstractTimeScheme = SDIRK(),
+    method: AbstractMethod | None = None,
     newton: NewtonOptions = NewtonOptions(),
     throw: bool = True,
 ) -> Trajectory:
@@ -105,7 +105,7 @@ def simulate(
     `Scene.inextensible` or `Scene.plane`, and without float64.
     """
     require_float64("simulate")
-    scene = checked_scene("simulate", scene)
+    given, scene = scene, checked_scene("simulate", scene)
     tensions, pressures = actuation("simulate", scene, tensions, pressures, ndim=2)
     steps = _count_steps(steps, tensions, pressures)
     dt = time_step("simulate", dt)
@@ -114,6 +114,7 @@ def simulate(
         known = not is_traced(scene.rest_curvature, scene.length)
         method = first_grid(Collocation(), scene) if known else Collocation()
         method = method if initial is None else initial.method
+    method = method.fitted(given)
     if initial is not None and initial.method != method:
         raise ValueError(
             "simulate: `initial` was solved with another method; give both the same `method`"
@@ -195,8 +196,9 @@ def _simulate(scene, dt, inputs, begin, steps, substeps, scheme, method, options
         scene, dt, inputs, begin, steps, substeps, scheme, method, options, good
     )
     base, h_base = clamp_pose(scene)
+    grid = method.grid(scene)
     positions, quaternions = jax.vmap(
-        lambda strain: method.shape(strain, scene.length, base, h_base)
+        lambda strain: method.shape(strain, grid, base, h_base)
     )(strains)
     error = jax.lax.cummax(stats["time_error"])
     # A step that has no solution is the last one. Others may be inaccurate by themselves.

@@ -17,7 +17,7 @@ from softrod_jax.bvp.grid_control import (
     solve_within,
 )
 from softrod_jax.bvp.load_continuation import search_by_load
-from softrod_jax.bvp.method import Method
+from softrod_jax.bvp.method import AbstractMethod
 from softrod_jax.bvp.newton import NewtonOptions
 from softrod_jax.bvp.unloaded import unloaded_guess
 from softrod_jax.foundation.compiling import compiled
@@ -60,7 +60,7 @@ class StaticSolution(eqx.Module):
     result: Int[Array, ""]
     stats: dict
     point_strains: Float[Array, "points 6"]
-    method: Method = eqx.field(static=True)
+    method: AbstractMethod = eqx.field(static=True)
 
 
 def solve_static(
@@ -68,7 +68,7 @@ def solve_static(
     tensions: Float[Array, "tendons"] | None = None,
     pressures: Float[Array, "chambers"] | None = None,
     *,
-    method: Method | None = None,
+    method: AbstractMethod | None = None,
     newton: NewtonOptions = NewtonOptions(),
     tolerance: float | None = None,
     throw: bool = True,
@@ -94,7 +94,7 @@ def solve_static(
     `Scene.inextensible` or `Scene.plane`, and without float64.
     """
     require_float64("solve_static")
-    scene = checked_scene("solve_static", scene)
+    given, scene = scene, checked_scene("solve_static", scene)
     tensions, pressures = actuation("solve_static", scene, tensions, pressures, ndim=1)
     arguments = (scene, tensions, pressures)
     traced = is_traced(arguments)
@@ -105,7 +105,7 @@ def solve_static(
         )
     if method is None and not traced:
         method, tolerance = first_grid(Collocation(), scene), tolerance or DEFAULT_TOLERANCE
-    method = Collocation() if method is None else method
+    method = (Collocation() if method is None else method).fitted(given)
     solve = lambda method: _solve(*arguments, method, newton, traced)
     solution = solve(method) if tolerance is None else solve_within(solve, method, tolerance)
     if throw:
@@ -143,21 +143,21 @@ def _problem(scene, tensions, pressures, method):
     inputs = (tensions, pressures)
     scene, valid = usable(scene, good_inputs(*inputs), *inputs)
     tensions, pressures = zero_unless(valid, inputs)
-    rod = make_rod(scene, tensions, pressures, dynamic=False)
+    rod = make_rod(scene, tensions, pressures, dynamic=False, grid=method.grid(scene))
     layout = layout_of(rod, dynamic=False)
-    return scene, rod, valid, layout, unloaded_guess(method, layout, rod)
+    return scene, rod, valid, layout, unloaded_guess(layout, rod)
 
 
 def _solution(scene, rod, method, solved, valid, transient_steps):
     result = jnp.where(valid, solved.found.result, RESULTS.bad_input).astype(jnp.int32)
     fields, error = solved.fields, solved.found.error
     strain = full_strain(fields.strain, rod)
-    positions, quaternions = method.shape(strain, rod.L, *clamp_pose(scene))
+    positions, quaternions = method.shape(strain, rod.grid, *clamp_pose(scene))
     wrench = method.outputs(fields.y)[:, -layout_of(rod, dynamic=False).pair :]
     solution = StaticSolution(
         tip_position=positions[-1],
         tip_quaternion=quaternions[-1],
-        arc_lengths=method.outputs(method.points(rod.L)),
+        arc_lengths=method.outputs(rod.grid.s),
         positions=positions,
         quaternions=quaternions,
         strains=method.outputs(strain),

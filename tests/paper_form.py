@@ -14,7 +14,7 @@ def actuation_terms(rod, scene, pressures, v, u, v_s, u_s, R):
     f, l = jnp.zeros(3), jnp.zeros(3)
     e3 = jnp.array([0.0, 0.0, 1.0])
     if rod.tau is not None:
-        r_all, _ = rod.tendons.routing(0.0)
+        r_all = rod.r
         for tau, r in zip(rod.tau, r_all, strict=True):
             p_s = hat(u) @ r + v
             A = -tau * hat(p_s) @ hat(p_s) / jnp.linalg.norm(p_s) ** 3

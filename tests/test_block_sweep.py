@@ -39,14 +39,15 @@ def test_solves_what_it_was_given(n, a):
 def accuracies():
     """Of corrections by the sweeps and by LAPACK, for a scene and a step in time."""
     robot = as_arrays(sr.hybrid_robot(gravity=jnp.array([-9.81, 0.0, 0.0])))
-    spacing = float(robot.length) / (METHOD.points(1.0).shape[0] - 1)
 
     @jax.jit
     def measure(young_modulus, dt):
         scene = dataclasses.replace(robot, young_modulus=young_modulus)
-        rod = make_rod(scene, jnp.array([0.1, 0.0, 0.2]), jnp.array([1e4]), spacing=spacing)
+        grid = METHOD.grid(scene)
+        inputs = jnp.array([0.1, 0.0, 0.2]), jnp.array([1e4])
+        rod = make_rod(scene, *inputs, grid=grid, spread_fronts=True)
         layout = layout_of(rod, dynamic=True)
-        guess = unloaded_guess(METHOD, layout, rod)
+        guess = unloaded_guess(layout, rod)
         history = History(1.5 / dt, -1.5 / dt * guess.strain, jnp.zeros_like(guess.strain))
         equations = Equations(METHOD, layout, rod, history, guess.strain)
         U, scale = equations.start(guess), equations.scale(equations.start(guess))

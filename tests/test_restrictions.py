@@ -96,8 +96,8 @@ def full_and_restricted(plane, no_stretch, moving=True):
 def test_equations_in_a_plane_are_those_in_space(plane):
     rods, layouts, states, histories = full_and_restricted(plane, no_stretch=False)
     guess = jnp.array([0.0, 0, 1, 0, 0, 0])
-    whole = rod_ode(0.0, states[0], rods[0], layouts[0], histories[0], guess)
-    ours = rod_ode(0.0, states[1], rods[1], layouts[1], histories[1], inner_strain(guess, rods[1]))
+    whole = rod_ode(states[0], rods[0], layouts[0], histories[0], guess)
+    ours = rod_ode(states[1], rods[1], layouts[1], histories[1], inner_strain(guess, rods[1]))
     np.testing.assert_allclose(
         full_strain(ours.strain, rods[1]), whole.strain, rtol=1e-10, atol=1e-12
     )
@@ -111,9 +111,9 @@ def test_jacobian_is_the_derivative(plane, no_stretch, moving):
     rods, layouts, states, histories = full_and_restricted(plane, no_stretch, moving)
     rod, layout, y, history = rods[1], layouts[1], states[1], histories[1]
     guess = inner_strain(jnp.array([0.0, 0, 1, 0, 0, 0]), rod)
-    rates = jax.jit(lambda y: rod_ode(0.0, y, rod, layout, history, guess))
+    rates = jax.jit(lambda y: rod_ode(y, rod, layout, history, guess))
     written = jax.jit(
-        lambda y: rod_ode_jacobian(0.0, y, rates(y).strain, rod, layout, history).state
+        lambda y: rod_ode_jacobian(y, rates(y).strain, rod, layout, history).state
     )(y)
     derived = jax.jit(jax.jacfwd(lambda y: rates(y).y_s))(y)
     size = np.abs(derived).max(axis=1, keepdims=True)
@@ -124,7 +124,7 @@ def test_jacobian_is_the_derivative(plane, no_stretch, moving):
 def test_strains_minimise_the_energy(plane, no_stretch):
     rods, layouts, states, histories = full_and_restricted(plane, no_stretch)
     wrench = states[1][-rods[1].strain_size :]
-    problem = local_problem(rods[1], 0.0, wrench, histories[1].c0, histories[1].strain)
+    problem = local_problem(rods[1], wrench, histories[1].c0, histories[1].strain)
     x, solvable = recover_strain(problem, inner_strain(jnp.array([0.0, 0, 1, 0, 0, 0]), rods[1]))
     assert bool(solvable)
     slope = jax.jacfwd(lambda x: imbalance(problem, x))(x)
@@ -139,7 +139,7 @@ def test_a_tendon_path_vanishes_later_where_nothing_is_compressed():
     )
     limit = float(rod(1.0).K_bt[1]) / 4e-3**2
     for tension in (0.999 * limit, 1.001 * limit):
-        problem = local_problem(rod(tension), 0.0, jnp.zeros((1, 3)))
+        problem = local_problem(rod(tension), jnp.zeros((1, 3)))
         _, solvable = recover_strain(problem, jnp.zeros((1, 3)))
         assert bool(solvable) == (tension < limit)
 
@@ -147,13 +147,13 @@ def test_a_tendon_path_vanishes_later_where_nothing_is_compressed():
 def test_nothing_of_what_is_absent_is_in_the_program():
     def program(scene):
         def one(scene):
-            rod = make_rod(scene, TENSIONS, PRESSURES, spacing=1e-3)
+            rod = make_rod(scene, TENSIONS, PRESSURES, spread_fronts=True)
             layout = layout_of(rod, dynamic=True)
             still = jnp.ones(layout.pair)
             strain = inner_strain(jnp.ones(6), rod)
             history = History(jnp.ones(()), strain, still)
             y = jnp.ones(layout.size)
-            return rod_ode(0.0, y, rod, layout, history, strain).y_s
+            return rod_ode(y, rod, layout, history, strain).y_s
 
         return jax.make_jaxpr(one)(scene).jaxpr
 

@@ -48,7 +48,7 @@ STRAIGHT = jnp.array([0.0, 0, 1, 0, 0, 0])
 @pytest.fixture(scope="module")
 def integrated():
     """The state at the tip that follows from START at the base, by scipy to 1e-12."""
-    ode = jax.jit(lambda s, y: rod_ode(s, y, ROD, LAYOUT, smooth_history(s), STRAIGHT).y_s)
+    ode = jax.jit(lambda s, y: rod_ode(y, ROD, LAYOUT, smooth_history(s), STRAIGHT).y_s)
     # In units of 1e-3 for the wrench, so that one tolerance fits all.
     units = np.r_[np.ones(10), np.full(3, 1e-3), np.full(3, 1e-5)]
     rates = lambda s, z: np.array(ode(s, z * units)) / units
@@ -57,7 +57,7 @@ def integrated():
 
 
 def propagated(method):
-    points = method.points(ROD.L)
+    points = method.grid(FULL).s
     guess = jnp.tile(STRAIGHT, (points.shape[0], 1))
     Y = jnp.zeros((method.intervals + 1, LAYOUT.size)).at[0].set(START)
     problem = ROD, LAYOUT, smooth_history(points), guess
@@ -121,7 +121,8 @@ def assert_slopes_agree(derivative, f, x, steps, tolerance):
     ids=["constant", "adaptive"],
 )
 def test_derivatives_of_the_defects(method, tensions):
-    rod, points = make_rod(FULL, tensions, PRESSURES), method.points(ROD.L)
+    grid = method.grid(FULL)
+    rod, points = make_rod(FULL, tensions, PRESSURES, grid=grid), grid.s
     guess, history = jnp.tile(STRAIGHT, (points.shape[0], 1)), smooth_history(points)
     Y = jnp.tile(START, (3, 1))
     # Inputs: length, stiffness, strain history, and the state at the base.
@@ -130,7 +131,8 @@ def test_derivatives_of_the_defects(method, tensions):
 
     @jax.jit
     def f(x):
-        scaled = eqx.tree_at(lambda r: (r.L, r.K_bt), rod, (x[0] * rod.L, x[1] * rod.K_bt))
+        sizes_of = lambda r: (r.grid.length, r.K_bt)
+        scaled = eqx.tree_at(sizes_of, rod, (x[0] * rod.L, x[1] * rod.K_bt))
         past = history._replace(strain=x[2] * history.strain)
         start = Y.at[0].set(x[3:] * sizes)
         return method.residual(start, scaled, LAYOUT, past, guess) / sizes

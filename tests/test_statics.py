@@ -200,7 +200,7 @@ class Helix(sr.Tendons):
 
     pitch: float = 15.0
 
-    def routing(self, s):
+    def routing(self, s, length=None):
         angle, (x, y) = self.pitch * jnp.asarray(s)[..., None], self.offsets.T
         cos, sin = jnp.cos(angle), jnp.sin(angle)
         none = jnp.zeros_like(cos * x)

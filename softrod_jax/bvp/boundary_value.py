@@ -15,12 +15,13 @@ from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Bool, Float, Int
 
 from softrod_jax.bvp.block_sweep import factorise, has_no_conjugate_point, solve_sweeps
-from softrod_jax.bvp.method import Guess, Method
+from softrod_jax.bvp.method import AbstractMethod, Guess
 from softrod_jax.bvp.newton import Borrowed, NewtonOptions, newton
 from softrod_jax.foundation.results import RESULTS
+from softrod_jax.rod.boundary_conditions import tip_condition
 from softrod_jax.rod.constants import Rod
 from softrod_jax.rod.constitutive import shortest_path
-from softrod_jax.rod.ode import History, Layout, sizes, tip_condition
+from softrod_jax.rod.ode import History, Layout, sizes
 
 # Where a solve fails with less than this left of the rod's length anywhere, or of a tendon's path,
 # that is why.
@@ -29,7 +30,9 @@ _VANISHING = 0.02
 
 def loads_of(rod: Rod) -> list:
     """Those that there are of tensions, pressures, gravity and tip loads."""
-    every = rod.tau, rod.n_ch, rod.m_ch, rod.gravity, rod.weight, rod.F_tip, rod.M_tip
+    every = [rod.tau, rod.n_ch, rod.m_ch, rod.gravity, rod.weight, rod.F_tip, rod.M_tip]
+    if rod.at_gaps is not None:
+        every += [x for load in rod.at_gaps for x in (load.F, load.M)]
     return [x for x in every if x is not None]
 
 
@@ -76,7 +79,7 @@ class Equations(NamedTuple):
     `guess`: strains (points, 6) for pointwise solves, where the method has any.
     """
 
-    method: Method
+    method: AbstractMethod
     layout: Layout
     rod: Rod
     history: History | None
@@ -101,7 +104,7 @@ class Equations(NamedTuple):
     def residual(self, U):
         """What is zero at the solution: along the rod, and at the tip as db = S da + g there."""
         Y = self.method.states(U, self.layout)
-        tip = self._tip(Y).wrench - Y[-1, self.layout.base_size :]
+        tip = self._tip(Y).value - Y[-1, self.layout.base_size :]
         return self.method.residual(U, *self._problem), tip
 
     def factorise(self, U, safe=None):
@@ -174,7 +177,7 @@ def search_directly(
 
 
 def solve_boundary_value(
-    method: Method,
+    method: AbstractMethod,
     layout: Layout,
     options: NewtonOptions,
     rod: Rod,
@@ -214,7 +217,7 @@ def solve_boundary_value(
     failed = (result == RESULTS.diverged) | (result == RESULTS.max_iterations)
     gone = jnp.array(False)
     if rod.K_se is not None:
-        left = _least_stretch(method, layout, fields.strain)
+        left = _least_stretch(rod, layout, fields.strain)
         # Below nothing, the linear law of the material knows sections that have changed sides.
         gone = (failed & (left < _VANISHING)) | ~(left > 0.0)
     if rod.tau is not None:
@@ -227,7 +230,7 @@ def solve_boundary_value(
     return Solved(fields, found._replace(result=result), factors)
 
 
-def _least_stretch(method: Method, layout: Layout, strain: Float[Array, "points n"]):
+def _least_stretch(rod: Rod, layout: Layout, strain: Float[Array, "points n"]):
     """The least stretch v3 along the rod; in a motion, of means between nodes.
 
     There, without damping, a front lets strains ring from point to point about what they are.
@@ -235,9 +238,8 @@ def _least_stretch(method: Method, layout: Layout, strain: Float[Array, "points 
     stretch = layout.split_strain(strain)[0][:, -1]
     if not layout.dynamic:
         return jnp.min(stretch)
-    stride = (stretch.shape[0] - 1) // method.intervals
     middle = 0.5 * (stretch[1:] + stretch[:-1])
-    return jnp.min(jnp.mean(middle.reshape(-1, stride), axis=1))
+    return jnp.min(jnp.mean(middle.reshape(-1, rod.grid.stride), axis=1))
 
 
 def slow_unless(ok, history: History) -> History:

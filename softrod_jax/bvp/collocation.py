@@ -20,11 +20,14 @@ from jaxtyping import Array, Float
 
 from softrod_jax.bvp.block_sweep import apply_each
 from softrod_jax.bvp.grid_error import CAUTION, hidden_turns, roughness, tip_of, wide_defect
-from softrod_jax.bvp.method import Guess, Linear, Method
+from softrod_jax.bvp.method import AbstractMethod, Guess, Linear
+from softrod_jax.rod.boundary_conditions import gap_conditions
 from softrod_jax.rod.constants import Rod, full_strain
 from softrod_jax.rod.constitutive import imbalance, nearby_strain, recover_strain
-from softrod_jax.rod.ode import Layout, pointwise_problem, rates, rod_ode_jacobian
+from softrod_jax.rod.grid import Division, Grid, divide, divided_grid, uniform_grid
+from softrod_jax.rod.ode import History, Layout, pointwise_problem, rates, rod_ode_jacobian
 from softrod_jax.rod.shape import ORIGIN, integrate_shape
+from softrod_jax.scene.scene import Scene
 
 
 class _Formula:
@@ -57,7 +60,7 @@ _FORMULAS = {
 _ROUGHNESS = {4: 0.06, 6: 2e-3}
 
 
-class Collocation(Method):
+class Collocation(AbstractMethod):
     """Mono-implicit Runge-Kutta collocation on `intervals` equal intervals.
 
     `order` 4 (Hermite-Simpson) or 6. The default, 12 intervals of order 6, was measured against
@@ -69,6 +72,7 @@ class Collocation(Method):
     intervals: int = eqx.field(static=True, default=12)
     order: int = eqx.field(static=True, default=6)
     max_error: float = eqx.field(static=True, default=1e-2)
+    division: Division | None = eqx.field(static=True, default=None)
 
     def __check_init__(self):
         if self.order not in _FORMULAS:
@@ -86,25 +90,36 @@ class Collocation(Method):
 
     def finer(self) -> "Collocation":
         """Twice as many intervals."""
-        return dataclasses.replace(self, intervals=2 * self.intervals)
+        division = None if self.division is None else self.division.finer()
+        return dataclasses.replace(self, intervals=2 * self.intervals, division=division)
 
-    def points(self, length) -> Float[Array, "points"]:
-        """Arc lengths [m] where strains and velocities are kept: nodes and inner points."""
+    def fitted(self, scene: Scene) -> "Collocation":
+        """With nodes where something jumps; each part of the rod has two intervals at least."""
+        division = divide(scene, self.intervals)
+        own = self.division
+        # One that was found on known numbers is right for the same scene with traced ones.
+        if own is not None and division is not None and own.fits(division):
+            return self
+        return dataclasses.replace(self, division=division)
+
+    def grid(self, scene: Scene) -> Grid:
+        """Nodes and inner points."""
         inner = np.concatenate([[0.0], np.sort(self._formula.c)])
-        grid = (np.arange(self.intervals)[:, None] + inner).ravel() / self.intervals
-        return length * jnp.array(np.append(grid, 1.0))
+        if self.division is None:
+            return uniform_grid(scene.length, self.intervals, inner)
+        return divided_grid(scene, self.division, inner)
 
     def outputs(self, points: Float[Array, "points *rest"]) -> Float[Array, "nodes *rest"]:
         """The nodes."""
         return points[:: self._stride]
 
-    def shape(self, strain, length, base_position, base_quaternion):
+    def shape(self, strain, grid: Grid, base_position, base_quaternion):
         """Positions (nodes, 3) and quaternions (nodes, 4), at the order of the method."""
         formula = self._formula
         at = np.concatenate([[0.0, 1.0], formula.c])
         order = np.argsort(at)
         return integrate_shape(
-            strain, length, base_position, base_quaternion, at[order], formula.b[order]
+            strain, grid.h, base_position, base_quaternion, at[order], formula.b[order]
         )
 
     def unknowns(self, guess: Guess, rod: Rod) -> Float[Array, "points columns"]:
@@ -122,7 +137,7 @@ class Collocation(Method):
 
     def error(self, U, rod: Rod, layout: Layout, guess, correct) -> Float[Array, ""]:
         """By defect correction: see `grid_error.py`."""
-        h = rod.L / self.intervals
+        h = _column(rod.grid.h)
         y, strain, problem = self._split(U, rod, layout, None)
         nodes = self.outputs(y)
         known = self.outputs(rates(y, strain, rod, layout, None))
@@ -131,56 +146,60 @@ class Collocation(Method):
             near = self._strain_at(y, strain, rod)
             return rates(y, near, rod, layout, None)
 
-        wide = wide_defect(nodes, known, h, self._stride, rates_at)
+        wide = wide_defect(nodes, known, h, self._stride, rates_at, self.division)
         inner = [jnp.zeros_like(nodes[1:])] * len(self._formula.c)
         forces = None if rod.tau is None else jnp.zeros_like(strain)
         moved = correct(_Residual(wide.defect, inner, forces))[:, : layout.size]
         better = full_strain(self._strain_at(wide.y + moved, strain, rod), rod)
-        coarse = self.shape(full_strain(strain, rod), rod.L, *ORIGIN)[0][-1]
-        together = tip_of(better, rod.L) - coarse
+        coarse = self.shape(full_strain(strain, rod), rod.grid, *ORIGIN)[0][-1]
+        together = tip_of(better, rod.grid) - coarse
         # The correction of the nodes and that of what lies between them nearly cancel where a layer
         # is only just seen. What is left may be a sixth of the error; the nodes alone show it.
         at_nodes = full_strain(self._strain_at(y + moved, strain, rod), rod)
-        at_nodes = self.shape(at_nodes, rod.L, *ORIGIN)[0][-1] - coarse
+        at_nodes = self.shape(at_nodes, rod.grid, *ORIGIN)[0][-1] - coarse
         size = jnp.linalg.norm
         moved = jnp.maximum(CAUTION * size(together), 0.5 * size(at_nodes)) / rod.L
         turning = layout.attitude
         _, bend = layout.split_strain(strain)
-        return jnp.maximum(moved, hidden_turns(bend, h)) if turning else moved
+        return jnp.maximum(moved, hidden_turns(bend, rod.grid)) if turning else moved
 
     def error_in_motion(self, fields: Guess, rod: Rod, layout: Layout, history, guess):
         """By differences of the strains: see `_ROUGHNESS`."""
-        if fields.strain.shape[0] <= self.order:
+        if any(part.stop - part.start <= self.order for part in rod.grid.parts()):
             return jnp.array(jnp.inf)
         stretch, bend = layout.split_strain(fields.strain)
-        rough = _ROUGHNESS[self.order] * roughness(bend, stretch, self.order, rod.L)
-        return jnp.maximum(rough, hidden_turns(bend, rod.L / self.intervals))
+        rough = _ROUGHNESS[self.order] * roughness(bend, stretch, self.order, rod.grid)
+        return jnp.maximum(rough, hidden_turns(bend, rod.grid))
 
     def _strain_at(self, y, strain, rod):
         """The strains at states near those that `strain` belongs to."""
-        problem = pointwise_problem(self.points(rod.L), y, rod, None)
+        problem = pointwise_problem(y, rod, None)
         return nearby_strain(problem, strain)
 
     def residual(self, U, rod: Rod, layout: Layout, history, guess) -> "_Residual":
         """How far the unknowns are from solving the rod ODE."""
-        formula, h = self._formula, rod.L / self.intervals
-        y, strain, problem = self._split(U, rod, layout, history)
-        f = self._by_stage(rates(y, strain, rod, layout, history))
-        y = self._by_stage(y)
+        formula, h = self._formula, _column(rod.grid.h)
+        states, strain, problem = self._split(U, rod, layout, history)
+        f = self._by_stage(rates(states, strain, rod, layout, history))
+        y = self._by_stage(states)
         increment = sum(b * f_r for b, f_r in zip(formula.b, f))
         inner = [
             y_r - (1 - v) * y[0] - v * y[1] - h * sum(a * f_j for a, f_j in zip(x, f))
             for y_r, v, x in zip(y[2:], formula.v, formula.x)
         ]
         forces = None if rod.tau is None else imbalance(problem, strain)
-        return _Residual(y[1] - y[0] - h * increment, inner, forces)
+        defect = y[1] - y[0] - h * increment
+        if rod.at_gaps is not None:
+            applied = self._at_gaps(states, rod, layout, history).value
+            defect = defect.at[rod.grid.division.gaps, -layout.pair :].add(applied)
+        return _Residual(defect, inner, forces)
 
     def linearise(self, U, rod: Rod, layout: Layout, history, guess) -> Linear:
         """The derivative of `residual`, strains and inner states eliminated."""
-        formula, h = self._formula, rod.L / self.intervals
+        formula = self._formula
         y, strain, _ = self._split(U, rod, layout, history)
-        at = rod_ode_jacobian(self.points(rod.L), y, strain, rod, layout, history)
-        A = self._by_stage(h * at.state)
+        at = rod_ode_jacobian(y, strain, rod, layout, history)
+        A = self._times(rod.grid, at.state)
         # Beside each other what multiplies Y_k and Y_{k+1}: of stages in `moves`, and of
         # G_r = h df_r/d(Y_k, Y_{k+1}), by the chain rule through the stages.
         eye, none = jnp.eye(layout.size), jnp.zeros_like(A[0])
@@ -191,8 +210,12 @@ class Collocation(Method):
             moves.append(beside(1 - v, v) + sum(a * G_j for a, G_j in zip(x, G)))
             G.append(A_r @ moves[-1])
         ends = beside(-1, 1) - sum(b * G_r for b, G_r in zip(formula.b, G))
-        strains = None if rod.tau is None else (at.compliance, h * at.wrench)
+        strains = None if rod.tau is None else (at.compliance, at.wrench, rod.grid)
         left, right = jnp.split(ends, 2, axis=-1)
+        if rod.at_gaps is not None:
+            slope = self._at_gaps(y, rod, layout, history).by_base_part
+            here = rod.grid.division.gaps, slice(-layout.pair, None), slice(layout.base_size)
+            left = left.at[here].add(slope)
         return Linear(left, right, (A[2:], moves, strains))
 
     def condense(self, inner, residual: "_Residual"):
@@ -200,8 +223,8 @@ class Collocation(Method):
         formula, (A, _, strains) = self._formula, inner
         df = [0.0] * (2 + len(A))  # times h
         if strains is not None:
-            _, by_wrench = strains
-            df = self._by_stage(-apply_each(by_wrench, residual.forces))
+            _, by_wrench, grid = strains
+            df = self._times(grid, -apply_each(by_wrench, residual.forces))
         dy = []
         for r, (A_r, x) in enumerate(zip(A, formula.x)):
             dy.append(sum(a * df_j for a, df_j in zip(x, df)) - residual.inner[r])
@@ -225,15 +248,34 @@ class Collocation(Method):
     def _split(self, U, rod, layout, history):
         """States, strains and the pointwise problem of which they are the solution."""
         y = U[:, : layout.size]
-        problem = pointwise_problem(self.points(rod.L), y, rod, history)
+        problem = pointwise_problem(y, rod, history)
         strain = recover_strain(problem, None)[0] if rod.tau is None else U[:, layout.size :]
         return y, strain, problem
+
+    def _at_gaps(self, y, rod, layout, history):
+        """What loads along the rod do, at the nodes before the gaps."""
+        at = rod.grid.division.gaps * self._stride
+        if history is not None:
+            history = History(history.c0, history.strain[at], history.velocity[at])
+        return gap_conditions(y[at], rod, layout, history)
+
+    def _times(self, grid: Grid, points):
+        """`_by_stage` of values at points, times the lengths of the intervals."""
+        if grid.division is None:
+            return self._by_stage(grid.h * points)
+        h = jnp.reshape(grid.h, (-1, *[1] * (points.ndim - 1)))
+        return [h * x for x in self._by_stage(points)]
 
     def _by_stage(self, points):
         """Values at points as a list: left nodes, right nodes, and inner points in turn."""
         nodes = self.outputs(points)
         rank = np.argsort(np.argsort(self._formula.c))
         return [nodes[:-1], nodes[1:]] + [points[1 + k :: self._stride] for k in rank]
+
+
+def _column(h):
+    """Lengths of intervals beside values of intervals, (intervals, n)."""
+    return h[:, None] if jnp.ndim(h) else h
 
 
 class _Residual(NamedTuple):

@@ -14,7 +14,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
 from softrod_jax.bvp.boundary_value import Equations, scaled_loads, search_directly
-from softrod_jax.bvp.method import Guess, Method
+from softrod_jax.bvp.method import AbstractMethod, Guess
 from softrod_jax.bvp.newton import NewtonOptions
 from softrod_jax.foundation.results import RESULTS
 from softrod_jax.rod.constants import Rod
@@ -46,10 +46,10 @@ class _State(NamedTuple):
 
 
 def settle(
-    method: Method, layout: Layout, options: NewtonOptions, rod: Rod, guess: Guess
+    method: AbstractMethod, layout: Layout, options: NewtonOptions, rod: Rod, guess: Guess
 ) -> Settled:
     """Let `rod` move from `guess`, a static one, under loads that rise from zero."""
-    unit = rod.L**2 * jnp.sqrt(rod.rho_A / jnp.max(rod.K_bt[:2]))
+    unit = rod.L**2 * jnp.sqrt(jnp.max(rod.rho_A) / jnp.max(rod.K_bt[..., :2]))
     rod = eqx.tree_at(
         lambda r: (r.B_se, r.B_bt, r.C),
         rod,

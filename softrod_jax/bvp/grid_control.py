@@ -11,7 +11,7 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 
-from softrod_jax.bvp.method import Method
+from softrod_jax.bvp.method import AbstractMethod
 from softrod_jax.foundation.results import RESULTS
 from softrod_jax.scene.scene import Scene
 
@@ -26,7 +26,7 @@ _AFTER_FAILURE = 4
 _FAILURES = (RESULTS.diverged, RESULTS.max_iterations)
 
 
-def first_grid(method: Method, scene: Scene) -> Method:
+def first_grid(method: AbstractMethod, scene: Scene) -> AbstractMethod:
     """`method`, refined so far that the unloaded rod's own curvature is seen."""
     if scene.rest_curvature is None:
         return method
@@ -37,7 +37,7 @@ def first_grid(method: Method, scene: Scene) -> Method:
     return method
 
 
-def solve_within(solve: Callable, method: Method, tolerance: float):
+def solve_within(solve: Callable, method: AbstractMethod, tolerance: float):
     """`solve(method)` on a grid so fine that the estimated error is below `tolerance`.
 
     Returns the solution, with the code `inaccurate` where no grid on offer is fine enough.
@@ -60,7 +60,7 @@ def solve_within(solve: Callable, method: Method, tolerance: float):
         solution = solve(method)
 
 
-def needed_intervals(error, method: Method, tolerance: float = DEFAULT_TOLERANCE):
+def needed_intervals(error, method: AbstractMethod, tolerance: float = DEFAULT_TOLERANCE):
     """How many intervals an error of `tolerance` takes if this many leave `error`."""
     more = jnp.maximum(error / tolerance, 1.0) ** (1 / method.order)
     return jnp.ceil(jnp.minimum(more, MOST_INTERVALS) * method.intervals).astype(jnp.int32)
@@ -73,7 +73,7 @@ def _factor(excess: float, order: int) -> int:
     return 2 ** max(1, math.floor(math.log2(excess) / order))
 
 
-def _times(method: Method, factor: int) -> Method:
+def _times(method: AbstractMethod, factor: int) -> AbstractMethod:
     while factor > 1 and 2 * method.intervals <= MOST_INTERVALS:
         method, factor = method.finer(), factor // 2
     return method

@@ -18,6 +18,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from softrod_jax.rod.grid import Division, Grid
 from softrod_jax.rod.shape import BOOLE, ORIGIN, integrate_shape
 
 # Where the order is reached, a correction is the error; where an interval is longer than a layer
@@ -48,59 +49,127 @@ def wide_defect(
     h,
     stride: int,
     rates_at: Callable,
+    division: Division | None = None,
 ) -> Wide:
     """What the ODE leaves of `Y_{k+1} - Y_k = integral of dy/ds` by wider formulas.
 
     - `rates`: dy/ds at the nodes; `rates_at(y)`: dy/ds at all points, (points, n).
-    - `h` [m]: the length of an interval.
+    - `h` [m]: the length of an interval, or of each, (intervals, 1). No polynomial reaches from one
+      part of the `division` into the next.
     """
-    n = nodes.shape[0] - 1
-    index, by_value, by_rate = _between_nodes(n, stride)
+    counts = (nodes.shape[0] - 1,) if division is None else division.counts
+    index, by_value, by_rate = _between_nodes(counts, stride)
     inner = jnp.einsum("kcw,kwn->kcn", by_value, nodes[index])
-    inner = inner + h * jnp.einsum("kcw,kwn->kcn", by_rate, rates[index])
+    lengths = h[..., None] if jnp.ndim(h) else h
+    inner = inner + lengths * jnp.einsum("kcw,kwn->kcn", by_rate, rates[index])
     body = jnp.concatenate([nodes[:-1, None], inner], axis=1)
     y = jnp.concatenate([body.reshape(-1, nodes.shape[-1]), nodes[-1:]])
-    index, weights = _across_intervals(n, stride)
+    index, weights = _across_intervals(counts, stride)
     increment = h * jnp.einsum("kp,kpn->kn", weights, rates_at(y)[index])
-    return Wide(y, nodes[1:] - nodes[:-1] - increment)
+    defect = nodes[1:] - nodes[:-1] - increment
+    # What a gap between parts does is exact.
+    return Wide(y, defect if division is None else defect.at[division.gaps].set(0.0))
 
 
-def tip_of(strain: Float[Array, "points 6"], length) -> Float[Array, "3"]:
+def tip_of(strain: Float[Array, "points 6"], grid: Grid) -> Float[Array, "3"]:
     """The tip of a rod clamped at the origin, with the spacing of its points halved."""
-    index, weights = _halfway(strain.shape[0])
+    counts = (grid.intervals,) if grid.division is None else grid.division.counts
+    index, weights = _halfway(counts, grid.stride)
     middle = jnp.einsum("pw,pwk->pk", weights, strain[index])
     pairs = jnp.stack([strain[:-1], middle], axis=1).reshape(-1, strain.shape[-1])
     fine = jnp.concatenate([pairs, strain[-1:]])
-    return integrate_shape(fine, length, *ORIGIN, np.arange(5) / 4, BOOLE)[0][-1]
+    # Four halves of a spacing for one of Boole's rules.
+    h = grid.h * (2 / grid.stride)
+    if grid.division is not None:
+        h = jnp.repeat(h, grid.stride // 2)
+    return integrate_shape(fine, h, *ORIGIN, np.arange(5) / 4, BOOLE)[0][-1]
 
 
 def roughness(
-    bend: Float[Array, "points k"], stretch: Float[Array, "points k"] | None, order: int, length
+    bend: Float[Array, "points k"], stretch: Float[Array, "points k"] | None, order: int, grid: Grid
 ) -> Float[Array, ""]:
     """Differences of the strains along the rod of this order, as the tip sees them, in lengths.
 
-    Their mean along the rod: a front of stretch that runs along it moves the tip little.
+    Their mean along the rod: a front of stretch that runs along it moves the tip little. In each
+    part of the rod by itself.
     """
     rough = lambda x: jnp.max(jnp.abs(jnp.diff(x, order, axis=0)), -1)
-    # A turn of a section moves the tip by its distance from it.
-    arm = np.linspace(1.0, 0.0, bend.shape[0])
-    arm = np.convolve(arm, np.ones(order + 1) / (order + 1), "valid") * length
-    moved = arm * rough(bend)
-    return jnp.mean(moved if stretch is None else rough(stretch) + moved)
+    total, parts = 0.0, grid.parts()
+    for part in parts:
+        points = part.stop - part.start
+        # A turn of a section moves the tip by its distance from it.
+        if grid.division is None:
+            arm, share = np.linspace(1.0, 0.0, points) * grid.length, 1.0
+        else:
+            arm = grid.length - grid.s[part]
+            share = (grid.s[part.stop - 1] - grid.s[part.start]) / grid.length
+        arm = jnp.convolve(arm, np.ones(order + 1) / (order + 1), "valid")
+        moved = arm * rough(bend[part])
+        moved = moved if stretch is None else rough(stretch[part]) + moved
+        total = total + share * jnp.mean(moved)
+    return total
 
 
-def hidden_turns(bend: Float[Array, "points k"], h) -> Float[Array, ""]:
-    """A lower bound for the estimate where intervals of length `h` turn too far; else zero."""
-    turn = h * jnp.mean(jnp.sqrt(jnp.sum(bend**2, -1)))
+def hidden_turns(bend: Float[Array, "points k"], grid: Grid) -> Float[Array, ""]:
+    """A lower bound for the estimate where intervals turn too far; else zero."""
+    size = jnp.sqrt(jnp.sum(bend**2, -1))
+    if grid.division is None:
+        turn = grid.h * jnp.mean(size)
+    else:
+        inside = size[:-1].reshape(-1, grid.stride)
+        turn = jnp.max(grid.h * jnp.mean(inside, axis=1))
     return jnp.where(turn > _MOST_TURN, _HIDDEN * (turn / _MOST_TURN) ** 6, 0.0)
 
 
+def _joined(counts: tuple[int, ...], of_part: Callable, of_gap: Callable):
+    """Tables of parts and of the gaps between them, one after the other.
+
+    `of_part(n)`: index and weights of a part of n intervals, the last axis of both as wide as
+    its formula; `of_gap()` likewise. Indices count from the beginning of the part, and rows are
+    filled up with weights of zero. `advance`, the first of each, is how far the next one is.
+    """
+    rows, first = [], 0
+    for k, n in enumerate(counts):
+        if k:
+            advance, index, *weights = of_gap()
+            rows.append((first + index, *weights))
+            first += advance
+        if n:
+            advance, index, *weights = of_part(n)
+            rows.append((first + index, *weights))
+            first += advance
+    width = max(row[0].shape[-1] for row in rows)
+    fill = lambda x: np.pad(x, [(0, 0)] * (x.ndim - 1) + [(0, width - x.shape[-1])])
+    return tuple(np.concatenate([fill(x) for x in column]) for column in zip(*rows))
+
+
 @functools.cache
-def _between_nodes(n: int, stride: int):
+def _between_nodes(counts: tuple[int, ...], stride: int):
     """Hermite interpolation at the inner points of each interval.
 
     The nodes that it uses, (n, w), and the weights (n, stride - 1, w) of states and of h dy/ds.
     """
+    one = np.ones((1, stride - 1, 1))
+    gap = lambda: (1, np.zeros((1, 1), int), one, 0 * one)
+    return _joined(counts, lambda n: (n, *_hermite(n, stride)), gap)
+
+
+@functools.cache
+def _across_intervals(counts: tuple[int, ...], stride: int):
+    """Quadrature over each interval from points beyond it: the points, (n, w), and weights."""
+    gap = lambda: (stride, np.zeros((1, 1), int), np.zeros((1, 1)))
+    return _joined(counts, lambda n: (n * stride, *_quadrature(n, stride)), gap)
+
+
+@functools.cache
+def _halfway(counts: tuple[int, ...], stride: int):
+    """Lagrange interpolation half-way between points: those it uses, and its weights."""
+    gap = lambda: (stride, np.arange(stride)[:, None], np.ones((stride, 1)))
+    return _joined(counts, lambda n: (n * stride, *_lagrange(n * stride + 1)), gap)
+
+
+def _hermite(n: int, stride: int):
+    """`_between_nodes` of one part."""
     width = min(_NODES, n + 1)
     at = np.arange(1, stride) / stride
     first = np.clip(np.arange(n) - (width // 2 - 1), 0, n + 1 - width)
@@ -116,9 +185,8 @@ def _between_nodes(n: int, stride: int):
     return first[:, None] + np.arange(width), by_value, by_rate
 
 
-@functools.cache
-def _across_intervals(n: int, stride: int):
-    """Quadrature over each interval from points beyond it: the points, (n, w), and weights."""
+def _quadrature(n: int, stride: int):
+    """`_across_intervals` of one part."""
     points = n * stride + 1
     width = min(stride + 1 + 2 * _BESIDE, points)
     start = np.arange(n) * stride
@@ -132,9 +200,8 @@ def _across_intervals(n: int, stride: int):
     return first[:, None] + np.arange(width), np.array(weights)
 
 
-@functools.cache
-def _halfway(points: int):
-    """Lagrange interpolation half-way between points: those it uses, and its weights."""
+def _lagrange(points: int):
+    """`_halfway` of one part."""
     width = min(_STRAINS, points)
     gap = np.arange(points - 1)
     first = np.clip(gap - (width // 2 - 1), 0, points - width)

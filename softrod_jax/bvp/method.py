@@ -14,7 +14,9 @@ import equinox as eqx
 from jaxtyping import Array, Float
 
 from softrod_jax.rod.constants import Rod
+from softrod_jax.rod.grid import Grid
 from softrod_jax.rod.ode import History, Layout
+from softrod_jax.scene.scene import Scene
 
 
 class Guess(NamedTuple):
@@ -32,7 +34,7 @@ class Linear(NamedTuple):
     inner: Any
 
 
-class Method(eqx.Module):
+class AbstractMethod(eqx.Module):
     """A way to solve the rod ODE along the rod; `intervals` between `intervals + 1` nodes.
 
     `order`: by which power of the spacing the error falls. `max_error`: the estimated error, in
@@ -47,19 +49,23 @@ class Method(eqx.Module):
     max_error: eqx.AbstractVar[float]
 
     @abc.abstractmethod
-    def finer(self) -> "Method":
+    def finer(self) -> "AbstractMethod":
         """The same method on a grid of half the spacing."""
 
     @abc.abstractmethod
-    def points(self, length) -> Float[Array, "points"]:
-        """Arc lengths [m], evenly refined, where strains and velocities are kept."""
+    def fitted(self, scene: Scene) -> "AbstractMethod":
+        """The same method with nodes where segments, tendons and chambers end and loads act."""
+
+    @abc.abstractmethod
+    def grid(self, scene: Scene) -> Grid:
+        """Where strains and velocities are kept, of a method that is fitted to the scene."""
 
     @abc.abstractmethod
     def outputs(self, points: Float[Array, "points *rest"]) -> Float[Array, "outputs *rest"]:
         """The entries of a points array that a user gets to see; both ends are among them."""
 
     @abc.abstractmethod
-    def shape(self, strain: Float[Array, "points 6"], length, base_position, base_quaternion):
+    def shape(self, strain: Float[Array, "points 6"], grid: Grid, base_position, base_quaternion):
         """Positions (outputs, 3) and quaternions (outputs, 4) from the strains at the points."""
 
     @abc.abstractmethod

@@ -17,16 +17,18 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from softrod_jax.bvp.grid_error import CAUTION
-from softrod_jax.bvp.method import Guess, Linear, Method
+from softrod_jax.bvp.method import AbstractMethod, Guess, Linear
 from softrod_jax.rod.constants import Rod, full_strain
+from softrod_jax.rod.grid import Grid, divide, uniform_grid
 from softrod_jax.rod.ode import History, Layout, rod_ode, sizes
 from softrod_jax.rod.shape import BOOLE, ORIGIN, integrate_shape
+from softrod_jax.scene.scene import Scene
 
 # Points of the Lagrange polynomials that interpolate the history.
 _WINDOW = 6
 
 
-class Shooting(Method):
+class Shooting(AbstractMethod):
     """Multiple shooting; `segments=1` is single shooting.
 
     - `segments`, each of `steps` equal steps. Strains and velocities are kept at the ends of
@@ -75,20 +77,29 @@ class Shooting(Method):
         """Twice as many steps in each segment."""
         return dataclasses.replace(self, steps=2 * self.steps)
 
-    def points(self, length) -> Float[Array, "points"]:
-        """Arc lengths [m] of the ends of all steps."""
-        return length * jnp.linspace(0.0, 1.0, self.segments * self.steps + 1)
+    def fitted(self, scene: Scene) -> "Shooting":
+        """Itself. Raises `ValueError` where something jumps along the rod: no nodes are there."""
+        if divide(scene, 1) is not None:
+            raise ValueError(
+                "Shooting: segments, tendons or chambers that end along the rod, and loads there, "
+                "need nodes at these places; use Collocation"
+            )
+        return self
+
+    def grid(self, scene: Scene) -> Grid:
+        """The ends of all steps."""
+        return uniform_grid(scene.length, self.segments * self.steps, np.zeros(1))
 
     def outputs(self, points: Float[Array, "points *rest"]) -> Float[Array, "points *rest"]:
         """All points: single shooting has no nodes but the two ends."""
         return points
 
-    def shape(self, strain, length, base_position, base_quaternion):
+    def shape(self, strain, grid: Grid, base_position, base_quaternion):
         """Positions (points, 3) and quaternions (points, 4), at order 6."""
         x = jnp.arange(4 * (strain.shape[0] - 1) + 1) / 4
         fine = _Window(x, strain.shape[0]).interpolate(strain)
         return integrate_shape(
-            fine, length, base_position, base_quaternion, np.arange(5) / 4, BOOLE
+            fine, grid.h, base_position, base_quaternion, np.arange(5) / 4, BOOLE
         )
 
     def unknowns(self, guess: Guess, rod: Rod) -> Float[Array, "nodes n"]:
@@ -105,19 +116,24 @@ class Shooting(Method):
         starts = jnp.concatenate([U[None, :-1], ends[:-1]])
         y = jnp.swapaxes(starts, 0, 1).reshape(-1, layout.size)
         y = jnp.concatenate([y, U[-1:]])
-        at = rod_ode(self.points(rod.L), y, rod, layout, history, guess)
+        at = rod_ode(y, rod, layout, history, guess)
         return Guess(y, at.strain)
 
     def error(self, U, rod: Rod, layout: Layout, guess, correct) -> Float[Array, ""]:
         """By one correction for the equations of twice as many steps."""
         finer, count = self.finer(), guess.shape[0]
-        between = _Window(jnp.arange(2 * count - 1) / 2, count).interpolate(guess)
-        problem = rod, layout, None
-        moved = correct(finer.residual(U, *problem, between))
-        better = finer.fields(U + moved, *problem, between).strain
-        coarse = self.fields(U, *problem, guess).strain
-        tip = lambda method, strain: method.shape(full_strain(strain, rod), rod.L, *ORIGIN)[0][-1]
-        moved = tip(finer, better) - tip(self, coarse)
+        halves = _Window(jnp.arange(2 * count - 1) / 2, count)
+        between = halves.interpolate(guess)
+        dense = rod.map_points(halves.interpolate)
+        grid = uniform_grid(rod.L, finer.segments * finer.steps, np.zeros(1))
+        dense = eqx.tree_at(lambda r: r.grid, dense, grid)
+        moved = correct(finer.residual(U, dense, layout, None, between))
+        better = finer.fields(U + moved, dense, layout, None, between).strain
+        coarse = self.fields(U, rod, layout, None, guess).strain
+        tip = lambda method, strain, rod: method.shape(
+            full_strain(strain, rod), rod.grid, *ORIGIN
+        )[0][-1]
+        moved = tip(finer, better, dense) - tip(self, coarse, rod)
         return CAUTION * jnp.linalg.norm(moved) / rod.L
 
     def error_in_motion(self, fields: Guess, rod: Rod, layout: Layout, history, guess):
@@ -176,7 +192,8 @@ class Shooting(Method):
                 here = History(
                     history.c0, at.interpolate(history.strain), at.interpolate(history.velocity)
                 )
-            rates = rod_ode(x * step, z * units, rod, layout, here, at.interpolate(guess))
+            local = rod.map_points(at.interpolate)
+            rates = rod_ode(z * units, local, layout, here, at.interpolate(guess))
             # Where the tendons allow no strains, the end of the segment is not a number.
             return jnp.where(rates.solvable, step * rates.y_s / units, jnp.nan)
 
@@ -241,7 +258,7 @@ class _Window:
         self._index, self._weights = first[:, None] + at, numerator / denominator
 
     def interpolate(self, values: Float[Array, "points k"]) -> Float[Array, "m k"]:
-        return jnp.sum(self._weights[..., None] * values[self._index], -2)
+        return jnp.einsum("mw,mw...->m...", self._weights, values[self._index])
 
 
 def _differentiable(solver: diffrax.AbstractSolver) -> diffrax.AbstractSolver:

@@ -1,25 +1,44 @@
 """The rod without any load: where every search begins."""
 
+import jax
 import jax.numpy as jnp
 
-from softrod_jax.bvp.method import Guess, Method
+from softrod_jax.bvp.method import Guess
 from softrod_jax.rod.constants import Rod
+from softrod_jax.rod.constitutive import joined
 from softrod_jax.rod.ode import Layout
 from softrod_jax.rod.rotations import quaternion_exp, quaternion_product
 
 
-def unloaded_guess(method: Method, layout: Layout, rod: Rod) -> Guess:
+def unloaded_guess(layout: Layout, rod: Rod) -> Guess:
     """The rod without any load: strains v*, u*, no wrench, at rest."""
-    s = method.points(rod.L)
+    s = rod.grid.s
     strain = rod.u_star
     if not layout.inextensible:
-        strain = jnp.concatenate([rod.v_star, strain])
+        strain = joined(rod.v_star, strain)
     strain = jnp.broadcast_to(strain, (s.shape[0], layout.strain_size))
-    h = None
-    if layout.attitude:
-        turn = s[:, None] * rod.u_star
-        h = rod.h_base + turn if layout.planar else quaternion_exp(turn)
-        if not layout.planar:
-            h = quaternion_product(jnp.broadcast_to(rod.h_base, h.shape), h)
+    h = _attitudes(rod, layout) if layout.attitude else None
     rest = jnp.zeros((s.shape[0], layout.size - layout.attitude_size))
     return Guess(layout.join(h, rest), strain)
+
+
+def _attitudes(rod: Rod, layout: Layout):
+    """That of every point."""
+    s = rod.grid.s
+    if rod.u_star.ndim == 1:
+        turn = s[:, None] * rod.u_star
+    else:
+        steps = jnp.diff(s)[:, None] * 0.5 * (rod.u_star[1:] + rod.u_star[:-1])
+        turn = jnp.concatenate([jnp.zeros_like(steps[:1]), jnp.cumsum(steps, axis=0)])
+    if layout.planar:
+        return rod.h_base + turn
+    if rod.u_star.ndim == 1:
+        h = quaternion_exp(turn)
+        return quaternion_product(jnp.broadcast_to(rod.h_base, h.shape), h)
+
+    def turned(h, step):
+        h = quaternion_product(h, quaternion_exp(step))
+        return h, h
+
+    _, h = jax.lax.scan(turned, rod.h_base, steps)
+    return jnp.concatenate([rod.h_base[None], h])

@@ -17,13 +17,13 @@ except ModuleNotFoundError as error:
     ) from error
 
 from softrod_jax.bvp.collocation import Collocation
-from softrod_jax.bvp.method import Method
+from softrod_jax.bvp.method import AbstractMethod
 from softrod_jax.foundation.results import RESULTS, result_message
 from softrod_jax.learning.stepping import Action, Stepper
 from softrod_jax.scene.robots import hybrid_robot
 from softrod_jax.scene.scene import Scene
 from softrod_jax.statics import solve_static
-from softrod_jax.stepping.schemes import BDFAlpha, TimeScheme
+from softrod_jax.stepping.schemes import AbstractTimeScheme, BDFAlpha
 
 # Bounds of what is observed: the tip and the target, and the tip's velocity, in lengths of the rod
 # and lengths a second.
@@ -67,8 +67,8 @@ class ReachEnv(gymnasium.Env):
         max_steps: int = 50,
         tension_limit: float = 0.2,
         pressure_limit: float = 2e4,
-        scheme: TimeScheme = BDFAlpha(),  # noqa: B008
-        method: Method = Collocation(6, order=6),  # noqa: B008
+        scheme: AbstractTimeScheme = BDFAlpha(),  # noqa: B008
+        method: AbstractMethod = Collocation(6, order=6),  # noqa: B008
         render_mode: str | None = None,
     ):
         if render_mode is not None:

@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from softrod_jax.bvp.collocation import Collocation
-from softrod_jax.bvp.method import Method
+from softrod_jax.bvp.method import AbstractMethod
 from softrod_jax.bvp.newton import NewtonOptions
 from softrod_jax.dynamics import simulate
 from softrod_jax.foundation.precision import require_float64
@@ -19,7 +19,7 @@ from softrod_jax.scene.checks import checked_scene
 from softrod_jax.scene.inputs import time_step, whole_number
 from softrod_jax.scene.scene import Scene
 from softrod_jax.statics import StaticSolution
-from softrod_jax.stepping.schemes import SDIRK, TimeScheme
+from softrod_jax.stepping.schemes import SDIRK, AbstractTimeScheme
 
 
 class RodPath(NamedTuple):
@@ -50,8 +50,8 @@ class RodLayer(eqx.Module):
     values: dict[str, Array]
     untrained: Scene
     dt: Float[Array, ""]
-    scheme: TimeScheme
-    method: Method
+    scheme: AbstractTimeScheme
+    method: AbstractMethod
     newton: NewtonOptions
     substeps: int = eqx.field(static=True)
 
@@ -63,8 +63,8 @@ class RodLayer(eqx.Module):
         positive: Sequence[str] = (),
         free: Sequence[str] = (),
         substeps: int = 1,
-        scheme: TimeScheme = SDIRK(),  # noqa: B008
-        method: Method = Collocation(),  # noqa: B008
+        scheme: AbstractTimeScheme = SDIRK(),  # noqa: B008
+        method: AbstractMethod = Collocation(),  # noqa: B008
         newton: NewtonOptions = NewtonOptions(),  # noqa: B008
     ):
         require_float64("RodLayer")

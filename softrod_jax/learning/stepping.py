@@ -13,7 +13,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
 from softrod_jax.bvp.collocation import Collocation
-from softrod_jax.bvp.method import Method
+from softrod_jax.bvp.method import AbstractMethod
 from softrod_jax.bvp.newton import NewtonOptions
 from softrod_jax.foundation.compiling import compiled
 from softrod_jax.foundation.precision import require_float64
@@ -27,7 +27,7 @@ from softrod_jax.scene.planes import in_space
 from softrod_jax.scene.scene import Scene
 from softrod_jax.statics import StaticSolution
 from softrod_jax.stepping.marching import Beginning, Course, make_stepping
-from softrod_jax.stepping.schemes import SDIRK, TimeScheme
+from softrod_jax.stepping.schemes import SDIRK, AbstractTimeScheme
 
 
 class Action(NamedTuple):
@@ -62,7 +62,7 @@ class RodState(eqx.Module):
     running: Any
     first: Bool[Array, ""]
     jumps: Bool[Array, ""]
-    made_by: tuple[TimeScheme, Method] = eqx.field(static=True)
+    made_by: tuple[AbstractTimeScheme, AbstractMethod] = eqx.field(static=True)
 
     @property
     def strains(self) -> Float[Array, "points 6"]:
@@ -120,8 +120,8 @@ class Stepper(eqx.Module):
 
     scene: Scene
     dt: Float[Array, ""]
-    scheme: TimeScheme
-    method: Method
+    scheme: AbstractTimeScheme
+    method: AbstractMethod
     newton: NewtonOptions
     substeps: int = eqx.field(static=True)
 
@@ -131,14 +131,14 @@ class Stepper(eqx.Module):
         dt,
         *,
         substeps: int = 1,
-        scheme: TimeScheme = SDIRK(),  # noqa: B008
-        method: Method = Collocation(),  # noqa: B008
+        scheme: AbstractTimeScheme = SDIRK(),  # noqa: B008
+        method: AbstractMethod = Collocation(),  # noqa: B008
         newton: NewtonOptions = NewtonOptions(),  # noqa: B008
     ):
         require_float64("Stepper")
         self.scene, self.dt = checked_scene("Stepper", scene), time_step("Stepper", dt)
         self.substeps = whole_number("Stepper", "substeps", substeps)
-        self.scheme, self.method, self.newton = scheme, method, newton
+        self.scheme, self.method, self.newton = scheme, method.fitted(scene), newton
 
     def reset(
         self, initial: StaticSolution | None = None, action: Action | None = None
@@ -296,9 +296,9 @@ def _rollout(stepper, state, actions, jumps):
 def _view(stepper, state):
     method, (scene, good) = stepper.method, usable(stepper.scene)
     result = _unless_bad(good, state.result)
-    rod = make_rod(scene)
-    strains = full_strain(state.strains, rod)
-    positions, quaternions = method.shape(strains, scene.length, *clamp_pose(scene))
+    grid = method.grid(scene)
+    strains = full_strain(state.strains, make_rod(scene, grid=grid))
+    positions, quaternions = method.shape(strains, grid, *clamp_pose(scene))
     velocities = in_space(method.outputs(state.velocities), scene.plane)
     view = RodView(
         time=state.time,

@@ -56,8 +56,8 @@ class LocalProblem(NamedTuple):
     l_h: Float[Array, "*points tendons 3"] | None = None
 
 
-def local_problem(rod: Rod, s, wrench, c0=None, strain_history=None) -> LocalProblem:
-    """The problem for the body-frame wrench (N, M), (*points, 6), at arc length `s`.
+def local_problem(rod: Rod, wrench, c0=None, strain_history=None) -> LocalProblem:
+    """The problem for the body-frame wrench (N, M), (*points, 6).
 
     `c0` and `strain_history` (v_h, u_h), (*points, 6), as in `schemes.py`; `None` in statics.
     Of a rod that is inextensible: M and u_h, (*points, 3).
@@ -67,25 +67,32 @@ def local_problem(rod: Rod, s, wrench, c0=None, strain_history=None) -> LocalPro
         b = wrench + rod.K_bt * rod.u_star
         bend = slice(None)
     else:
-        b = wrench + jnp.concatenate([rod.K_se * rod.v_star, rod.K_bt * rod.u_star])
-        stretch, bend = slice(None, k_se.size), slice(k_se.size, None)
+        b = wrench + joined(rod.K_se * rod.v_star, rod.K_bt * rod.u_star)
+        n = k_se.shape[-1]
+        stretch, bend = slice(None, n), slice(n, None)
     if rod.m_ch is not None:
-        b = b + (rod.m_ch if rod.n_ch is None else jnp.concatenate([rod.n_ch, rod.m_ch]))
+        b = b + (rod.m_ch if rod.n_ch is None else jnp.concatenate([rod.n_ch, rod.m_ch], -1))
     if c0 is not None and rod.B_se is not None:
         k_se = k_se + c0 * rod.B_se
         b = b.at[..., stretch].add(-rod.B_se * strain_history[..., stretch])
     if c0 is not None and rod.B_bt is not None:
         k_bt = k_bt + c0 * rod.B_bt
         b = b.at[..., bend].add(-rod.B_bt * strain_history[..., bend])
-    k = k_bt if k_se is None else jnp.concatenate([k_se, k_bt])
+    k = k_bt if k_se is None else joined(k_se, k_bt)
     v = rod.v_star if k_se is None else None
     if rod.tau is None:
         return LocalProblem(k, b, v)
-    problem = LocalProblem(k, b, v, rod.tau, *rod.routing(s))
+    problem = LocalProblem(k, b, v, rod.tau, rod.r, rod.r_s)
     if c0 is None or rod.front_viscosity is None:
         return problem
     l_h = _linear_paths(problem.r, strain_history)
     return problem._replace(viscosity=rod.front_viscosity * rod.tau, c0=c0, l_h=l_h)
+
+
+def joined(a, b):
+    """Side by side; what is the same along the rod beside what varies along it, too."""
+    points = jnp.broadcast_shapes(a.shape[:-1], b.shape[:-1])
+    return jnp.concatenate([jnp.broadcast_to(x, (*points, x.shape[-1])) for x in (a, b)], -1)
 
 
 def recover_strain(problem: LocalProblem, guess: Strain) -> tuple[Strain, Bool[Array, ""]]:
@@ -110,8 +117,8 @@ def compliance(problem: LocalProblem, strain: Strain):
     du/dM, (*points, 3, 3), where u alone is sought.
     """
     if problem.tau is None:
-        n = problem.k.size
-        return jnp.broadcast_to(jnp.diag(1 / problem.k), (*strain.shape[:-1], n, n))
+        n = problem.k.shape[-1]
+        return jnp.broadcast_to(_diagonal(1 / problem.k), (*strain.shape[:-1], n, n))
     return _inverse(_hessian(problem, strain))
 
 
@@ -121,7 +128,7 @@ def _linear_paths(r, x, v=None):
         n = r.shape[-1]
         v, u = x[..., None, :n], x[..., None, n:]
     else:
-        u = x[..., None, :]
+        v, u = v[..., None, :], x[..., None, :]
     return v + cross(u, jnp.broadcast_to(r, (*x.shape[:-1], *r.shape[-2:])))
 
 
@@ -136,10 +143,11 @@ def _paths(problem: LocalProblem, x):
 
 def shortest_path(rod: Rod, strain: Float[Array, "points 6"]):
     """The least |v + u x r_i| of any tendon anywhere: 0 where it has no length left."""
-    s = rod.L * jnp.linspace(0.0, 1.0, strain.shape[0])
     v = rod.v_star if rod.K_se is None else None
-    problem = LocalProblem(None, None, v, rod.tau, *rod.routing(s))
-    return jnp.min(_paths(problem, strain)[1])
+    problem = LocalProblem(None, None, v, rod.tau, rod.r, rod.r_s)
+    length = _paths(problem, strain)[1]
+    # A tendon that is not there, or slack, may have any.
+    return jnp.min(jnp.where(rod.tau > 0.0, length, jnp.inf))
 
 
 def imbalance(problem: LocalProblem, x: Strain) -> Strain:
@@ -173,18 +181,23 @@ def _hessian(problem: LocalProblem, x):
     if problem.viscosity is not None:
         l_t, rate = _path_rates(problem, l)
         rate = rate[..., None, None]
-        drag = problem.c0 * problem.viscosity[:, None, None]
+        drag = problem.c0 * problem.viscosity[..., None, None]
         M = M + drag * (rate * eye + outer(l_t) / rate)
     turn = -hats(problem.r)[1]
     turn = jnp.broadcast_to(turn, (*M.shape[:-1], turn.shape[-1]))
     M_turn = _product(M, turn)
     if problem.v is not None:
         by_turn = _product(jnp.swapaxes(turn, -1, -2), M_turn)
-        return jnp.diag(problem.k) + jnp.sum(by_turn, -3)
+        return _diagonal(problem.k) + jnp.sum(by_turn, -3)
     upper = jnp.concatenate([M, M_turn], -1)
     lower = [jnp.swapaxes(M_turn, -1, -2), _product(jnp.swapaxes(turn, -1, -2), M_turn)]
     sum_i = jnp.sum(jnp.concatenate([upper, jnp.concatenate(lower, -1)], -2), -3)
-    return jnp.diag(problem.k) + sum_i
+    return _diagonal(problem.k) + sum_i
+
+
+def _diagonal(k):
+    """Matrices with these numbers on the diagonal: (*points, n) to (*points, n, n)."""
+    return k[..., None, :] * np.eye(k.shape[-1])
 
 
 def _product(A, B):
@@ -238,7 +251,7 @@ _STEP_LENGTHS = np.array([1.0, 0.25, 0.0625, 0.015625, 1e-3])
 def _minimise(problem: LocalProblem, guess):
     """Damped Newton from `guess`: strains and, per point, whether they solve the problem."""
     # Strains that matter: v against 1, u against the curvature at which u r compares with 1.
-    r, n = problem.r, problem.k.size
+    r, n = problem.r, problem.k.shape[-1]
     turns = n if problem.v is not None else n - r.shape[-1]
     scale = jnp.ones(turns) / (1e-30 + jnp.max(jnp.abs(r)))
     if problem.v is None:
@@ -273,7 +286,7 @@ def _minimise_jvp(primals, tangents):
     x, converged = _minimise(problem, guess)
     _, g_dot = jax.jvp(lambda p: imbalance(p, x), (problem,), (tangents[0],))
     # A point without a solution has no derivative: zero keeps the rest of the batch clean.
-    straight = np.zeros(problem.k.size)
+    straight = np.zeros(problem.k.shape[-1])
     if problem.v is None:
         straight[problem.r.shape[-1] - 1] = 1.0
     safe = jnp.where(converged[..., None], x, straight)

@@ -28,7 +28,6 @@ import functools
 from typing import NamedTuple
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
@@ -129,15 +128,13 @@ class Rates(NamedTuple):
     solvable: Bool[Array, ""]
 
 
-def rod_ode(
-    s, y: Points, rod: Rod, layout: Layout, history: History | None, guess: Points
-) -> Rates:
-    """dy/ds at arc length `s` [m], for one point or for many.
+def rod_ode(y: Points, rod: Rod, layout: Layout, history: History | None, guess: Points) -> Rates:
+    """dy/ds, for one point or for many: where numbers of the rod vary, for those of its points.
 
     `guess` (*points, 6): strains from which the pointwise solve starts (tendons only); the
     answer does not depend on it.
     """
-    problem = pointwise_problem(s, y, rod, history)
+    problem = pointwise_problem(y, rod, history)
     strain, solvable = recover_strain(problem, guess)
     return Rates(rates(y, strain, rod, layout, history), strain, solvable)
 
@@ -156,24 +153,26 @@ class Jacobian(NamedTuple):
 
 
 def rod_ode_jacobian(
-    s, y: Points, strain, rod: Rod, layout: Layout, history: History | None
+    y: Points, strain, rod: Rod, layout: Layout, history: History | None
 ) -> Jacobian:
     """The derivative of `rod_ode` by y.
 
     Written out, because 16 forward tangents of `rod_ode` cost several times as much.
     """
     f_y, f_strain = _partial_derivatives(y, strain, rod, layout, history)
-    problem = pointwise_problem(s, y, rod, history)
+    problem = pointwise_problem(y, rod, history)
     C = compliance(problem, strain)
-    by_wrench = f_strain / problem.k if problem.tau is None else f_strain @ C
+    explicit = problem.tau is None
+    by_wrench = f_strain / problem.k[..., None, :] if explicit else f_strain @ C
     n = rod.strain_size
     state = jnp.concatenate([f_y[..., :-n], f_y[..., -n:] + by_wrench], -1)
     return Jacobian(state, C, by_wrench)
 
 
-def pointwise_problem(s, y, rod, history):
+def pointwise_problem(y, rod, history):
+    """That of the strains, for these states."""
     c0, strain_history = (None, None) if history is None else (history.c0, history.strain)
-    return local_problem(rod, s, y[..., -rod.strain_size :], c0, strain_history)
+    return local_problem(rod, y[..., -rod.strain_size :], c0, strain_history)
 
 
 def rates(y, strain, rod, layout, history):
@@ -184,9 +183,7 @@ def rates(y, strain, rod, layout, history):
         h_s = u
     elif layout.attitude:
         a, r = h[..., :1], h[..., 1:]  # R_s = R u^ (eq. 4), as h_s = 1/2 h o (0, u)
-        h_s = 0.5 * jnp.concatenate(
-            [-jnp.sum(r * u, -1, keepdims=True), a * u + cross(r, u)], -1
-        )
+        h_s = 0.5 * jnp.concatenate([-jnp.sum(r * u, -1, keepdims=True), a * u + cross(r, u)], -1)
     N_s = -cross(u, N)  # R^T (R N)_s = N_s + u^ N
     M_s = -cross(u, M) - cross(v, N)  # eq. 4: m_s = ... - p_s^ n
     if layout.dynamic:
@@ -234,12 +231,13 @@ def _partial_derivatives(y, strain, rod, layout, history):
         c0, (_, q_u), (w_v, w_u) = history.c0, hats(q), hats(w)
         drive = c0 * eye(vector) + w_v
         drive_u = drive if vector == turn else c0 * eye(turn) + w_u
-        N_q = rod.rho_A * drive
+        N_q = rod.rho_A[..., None] * drive
         if rod.C is not None:
             N_q = N_q + 2 * (rod.C * jnp.abs(q))[..., None] * eye(vector)
         # w_hat J: scale columns by J. J-weighted omega: (J omega)^.
-        M_w = w_u * rod.rho_J - hats(rod.rho_J * w)[1] + c0 * rod.rho_J * eye(turn)
-        N_row = [N_q, -rod.rho_A * q_u] + N_row
+        rho_J = rod.rho_J[..., None, :]
+        M_w = w_u * rho_J - hats(rod.rho_J * w)[1] + c0 * rho_J * eye(turn)
+        N_row = [N_q, -rod.rho_A[..., None] * q_u] + N_row
         M_row = [zero(turn, vector), M_w] + M_row
         rows = [
             [-u_v, -v_u, zero(vector, vector), zero(vector, turn)],
@@ -304,9 +302,9 @@ def _blocks(rows):
 def sizes(Y: Points, rod: Rod, layout: Layout, history: History | None) -> Float[Array, "n"]:
     """Sizes of the state's components: a bent rod's, or those of `Y` if larger."""
     rate = 1.0 if history is None else history.c0
-    EI = jnp.max(rod.K_bt[:2])
+    EI = jnp.max(rod.K_bt[..., :2])
     if history is not None and rod.B_bt is not None:
-        EI = EI + rate * jnp.max(rod.B_bt[:2])
+        EI = EI + rate * jnp.max(rod.B_bt[..., :2])
     N = jnp.max(jnp.abs(Y[:, -layout.pair : -layout.turn]))
     M = jnp.max(jnp.abs(Y[:, -layout.turn :]))
     vector = turn = jnp.ones(layout.vector)
@@ -319,38 +317,3 @@ def sizes(Y: Points, rod: Rod, layout: Layout, history: History | None) -> Float
         (EI / rod.L**2 + N) * vector,
         (EI / rod.L + M) * turn,
     )
-
-
-class Tip(NamedTuple):
-    """The wrench (N, M) that the tip's surroundings ask for, (6,), and its derivative."""
-
-    wrench: Float[Array, "6"]
-    by_base_part: Float[Array, "6 a"]
-
-
-def tip_condition(y: Float[Array, "n"], rod: Rod, layout: Layout, history) -> Tip:
-    """(N, M) at s = L as a function of h, q and omega there (paper eq. 13, total wrench).
-
-    Zero for a free tip, whatever the actuators do. `history` is the one at s = L.
-    """
-
-    def wrench(base_part):
-        h, q, w, _, _ = layout.split(jnp.concatenate([base_part, jnp.zeros(layout.pair)]))
-        N, M = jnp.zeros(layout.vector), jnp.zeros(layout.turn)
-        if rod.F_tip is not None:
-            N = N + to_body(h, rod.F_tip)
-        if rod.M_tip is not None:
-            # In a plane a turn is the same in both frames.
-            M = M + (rod.M_tip if layout.planar else to_body(h, rod.M_tip))
-        if rod.payload is not None:
-            if rod.gravity is not None:
-                N = N + rod.payload * to_body(h, rod.gravity)
-            if layout.dynamic:
-                q_t = history.c0 * q + history.velocity[: layout.vector]
-                N = N - rod.payload * (q_t + cross(w, q))
-        return jnp.concatenate([N, M])
-
-    base_part = y[: layout.base_size]
-    if all(x is None for x in (rod.F_tip, rod.M_tip, rod.payload)):
-        return Tip(jnp.zeros(layout.pair), jnp.zeros((layout.pair, layout.base_size)))
-    return Tip(wrench(base_part), jax.jacfwd(wrench)(base_part))

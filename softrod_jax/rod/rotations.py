@@ -122,9 +122,7 @@ def _series(x2, large, taylor):
 
 def _sinc(x2):
     """sin(x)/x."""
-    return _series(
-        x2, lambda x, s: jnp.sin(x) / x, (1.0, -1 / 6, 1 / 120, -1 / 5040, 1 / 362880)
-    )
+    return _series(x2, lambda x, s: jnp.sin(x) / x, (1.0, -1 / 6, 1 / 120, -1 / 5040, 1 / 362880))
 
 
 def _cosc(x2):

@@ -20,7 +20,7 @@ BOOLE = np.array([7, 32, 12, 32, 7]) / 90
 
 def integrate_shape(
     strain: Float[Array, "points 6"],
-    length,
+    h: Float[Array, "..."],
     base_position: Float[Array, "3"],
     base_quaternion: Float[Array, "4"],
     inner_points: np.ndarray,
@@ -28,14 +28,14 @@ def integrate_shape(
 ):
     """Positions (nodes, 3) [m] and quaternions (nodes, 4) from the strains (v, u).
 
-    `inner_points` and `weights`: points of one interval, in [0, 1], both ends included, and
-    their quadrature weights.
+    `h` [m]: the length of the intervals, one for all or one for each. `inner_points` and `weights`:
+    points of one interval, in [0, 1], both ends included, and their quadrature weights.
     """
     stride = len(inner_points) - 1
     intervals = (strain.shape[0] - 1) // stride
-    h = length / intervals
     index = np.arange(intervals)[:, None] * stride + np.arange(stride + 1)
     local = strain[index]  # (intervals, stride + 1, 6)
+    h = jnp.reshape(h, (-1, 1))
     moment = [
         h * jnp.einsum("j,kj...->k...", weights * (inner_points - 0.5) ** i, local)
         for i in range(3)

@@ -11,7 +11,7 @@ from jaxtyping import Array, Bool, Float
 from softrod_jax.rod.constants import make_rod
 from softrod_jax.scene.checks import parts_of, relations_of
 from softrod_jax.scene.planes import fits_plane
-from softrod_jax.scene.scene import Scene
+from softrod_jax.scene.scene import Scene, with_total_length
 
 
 def usable(scene: Scene, good=True, tensions=None, pressures=None) -> tuple[Scene, Bool[Array, ""]]:
@@ -39,7 +39,7 @@ def usable(scene: Scene, good=True, tensions=None, pressures=None) -> tuple[Scen
         jnp.where(good, x, jnp.asarray(part.number.harmless, dtype=float))
         for x, part in zip(leaves, parts, strict=True)
     ]
-    return jax.tree.unflatten(structure, leaves), good
+    return with_total_length(jax.tree.unflatten(structure, leaves)), good
 
 
 def usable_in_time(scene: Scene, dt) -> tuple[Scene, Float[Array, ""], Bool[Array, ""]]:

@@ -42,7 +42,7 @@ def about_normal(plane: str | None, a: Float[Array, "n"] | None):
     """Of numbers for turns about x, y (and z), that about the normal; all if no plane."""
     if plane is None or a is None:
         return a
-    return a[1:2] if plane == "xz" else a[:1]
+    return a[..., 1:2] if plane == "xz" else a[..., :1]
 
 
 def angle_in(plane: str, h: Float[Array, "4"]) -> Float[Array, "1"]:

@@ -164,7 +164,15 @@ def as_arrays(scene: Scene) -> Scene:
 
     Lists of numbers become arrays, too.
     """
-    return jax.tree.map(lambda x: jnp.asarray(x, dtype=float), scene, is_leaf=is_list)
+    arrays = jax.tree.map(lambda x: jnp.asarray(x, dtype=float), scene, is_leaf=is_list)
+    return with_total_length(arrays)
+
+
+def with_total_length(scene: Scene) -> Scene:
+    """The scene whose length is the sum of its segments', whatever became of them."""
+    if scene.segments is None:
+        return scene
+    return eqx.tree_at(lambda x: x.length, scene, total_length(scene.segments))
 
 
 def is_list(x) -> bool:

@@ -164,9 +164,11 @@ class Tendons(eqx.Module):
         for i, path in enumerate(self.paths):
             at, slope = jnp.zeros((*s.shape, 2)), jnp.zeros((*s.shape, 2))
             if path is not None:
-                place = lambda x, path=path, ends=self.part(i, length): path.place(x, *ends)
+                ends = self.part(i, length)
+                place = lambda x, path=path, ends=ends: path.place(x, *ends)
                 with_slope = lambda x, place=place: jax.jvp(place, (x,), (jnp.ones_like(x),))
-                at, slope = jnp.vectorize(with_slope, signature="()->(n),(n)")(s)
+                inside = jnp.clip(s, *ends)
+                at, slope = jnp.vectorize(with_slope, signature="()->(n),(n)")(inside)
             places.append(at)
             slopes.append(slope)
         flat = lambda a: jnp.concatenate([a, jnp.zeros_like(a[..., :1])], -1)

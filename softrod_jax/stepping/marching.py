@@ -26,6 +26,7 @@ from softrod_jax.bvp.newton import Borrowed, no_factors
 from softrod_jax.bvp.unloaded import unloaded_guess
 from softrod_jax.foundation.results import RESULTS
 from softrod_jax.rod.constants import Rod, fastest_wave, full_strain, inner_strain, make_rod
+from softrod_jax.rod.grid import Grid
 from softrod_jax.rod.ode import History, Layout, layout_of
 from softrod_jax.scene.inputs import good_inputs, zero_unless
 from softrod_jax.scene.planes import in_space
@@ -144,14 +145,15 @@ def make_stepping(scene, dt, actuation, begin, substeps, scheme, method, options
     if isinstance(substeps, LocalError):
         # A front is rough on any grid. Two grids are compared in the end: that decides.
         method = dataclasses.replace(method, max_error=jnp.inf)
-    spacing = scene.length / (method.points(1.0).shape[0] - 1)
+    grid = method.grid(scene)
+    spacing = grid.widest
 
     def rod_under(tau, pressure):
-        return make_rod(scene, tau, pressure, spacing=spacing)
+        return make_rod(scene, tau, pressure, grid=grid, spread_fronts=True)
 
     rod = rod_under(*zero_unless(good_inputs(*actuation), actuation))
     layout = layout_of(rod, dynamic=True)
-    guess = unloaded = unloaded_guess(method, layout, rod)
+    guess = unloaded = unloaded_guess(layout, rod)
     first_code = jnp.where(good, RESULTS.successful, RESULTS.bad_input).astype(jnp.int32)
     if begin is not None:
         begun = good & jnp.all(jnp.isfinite(begin.strain))
@@ -251,7 +253,7 @@ def make_stepping(scene, dt, actuation, begin, substeps, scheme, method, options
             part = jnp.where(done + 1.05 * running.part >= 1.0, 1.0 - done, running.part)
             coefficients = scheme.coefficients(part * dt, jnp.zeros(1, dtype=bool))[0]
             new, errors = substep(course, done, part, coefficients, (memory, running))
-            shift = tip_shift(errors.lower, errors.of_integral, rod.L, layout) / substeps.limit
+            shift = tip_shift(errors.lower, errors.of_integral, grid, layout) / substeps.limit
             tried = new[1]
             solved = tried.result == RESULTS.successful
             ok = solved & ((shift <= 1.0) | (part <= 1.01 * shortest))
@@ -329,20 +331,20 @@ def make_stepping(scene, dt, actuation, begin, substeps, scheme, method, options
     return Stepping(start, step, rod)
 
 
-def tip_shift(error: Fields, of_integral: Fields, length, layout: Layout) -> Float[Array, ""]:
+def tip_shift(error: Fields, of_integral: Fields, grid: Grid, layout: Layout) -> Float[Array, ""]:
     """How far local errors in time move the tip, in lengths of the rod.
 
     The tip is the integral of the strains along the rod, and of its velocity over time. The one
     takes a wave front between two points of the grid for an error of the step, and the other a
     vibration that the step damps out: the smaller is right.
     """
-    arm = jnp.linspace(1.0, 0.0, error.strain.shape[0])[:, None]
+    arm = 1 - grid.s[:, None] / grid.length
     stretch, bend = layout.split_strain(error.strain)
-    along_rod = jnp.linalg.norm(length * jnp.mean(arm * bend, axis=0))
+    along_rod = jnp.linalg.norm(grid.length * grid.mean(arm * bend))
     if stretch is not None:
-        along_rod = jnp.linalg.norm(jnp.mean(stretch, axis=0)) + along_rod
+        along_rod = jnp.linalg.norm(grid.mean(stretch)) + along_rod
     moved = of_integral.velocity[-1, : layout.vector]
-    return jnp.minimum(along_rod, jnp.linalg.norm(moved) / length)
+    return jnp.minimum(along_rod, jnp.linalg.norm(moved) / grid.length)
 
 
 class Course(NamedTuple):

@@ -40,7 +40,7 @@ class LocalErrors(NamedTuple):
     difference: Any = None
 
 
-class TimeScheme(eqx.Module):
+class AbstractTimeScheme(eqx.Module):
     """`start` makes a memory from the initial fields, `step` advances it.
 
     The memory is a tuple; its first entry is the fields at the end of the step.
@@ -74,7 +74,7 @@ class TimeScheme(eqx.Module):
         """
 
 
-class BDFAlpha(TimeScheme):
+class BDFAlpha(AbstractTimeScheme):
     """BDF-alpha (paper eq. 14 and 15): alpha = 0 is BDF2, alpha = -0.5 the trapezoidal rule.
 
     Second order. The step after a jump of an input is one of backward Euler: with the history
@@ -192,7 +192,7 @@ _DIFFERENCE = {
 }  # fmt: skip
 
 
-class SDIRK(TimeScheme):
+class SDIRK(AbstractTimeScheme):
     """Stiffly accurate, L-stable SDIRK of order 2 (Alexander 1977), 3, or 4 (Hairer & Wanner,
     Solving ODEs II, table IV.6.5); 2, 4 and 5 solves along the rod a step.
 

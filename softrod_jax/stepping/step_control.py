@@ -16,11 +16,11 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 
-from softrod_jax.bvp.method import Method
+from softrod_jax.bvp.method import AbstractMethod
 from softrod_jax.foundation.results import RESULTS
 from softrod_jax.rod.constants import Rod
 from softrod_jax.stepping.marching import MOST_SUBSTEPS, LocalError
-from softrod_jax.stepping.schemes import TimeScheme
+from softrod_jax.stepping.schemes import AbstractTimeScheme
 
 # The limit of the local error in the first try, in tolerances, and how strict it may become. The
 # errors of many steps add up, so that it starts below one.
@@ -52,8 +52,8 @@ def run_within(
     run: Callable,
     rod: Rod,
     dt: float,
-    scheme: TimeScheme,
-    method: Method,
+    scheme: AbstractTimeScheme,
+    method: AbstractMethod,
     fixed_grid: bool,
     *,
     substeps: int,
@@ -116,8 +116,8 @@ def run_checked(
     run: Callable,
     rod: Rod,
     dt: float,
-    scheme: TimeScheme,
-    method: Method,
+    scheme: AbstractTimeScheme,
+    method: AbstractMethod,
     *,
     fixed_grid: bool,
     fixed_steps: bool,
@@ -186,7 +186,7 @@ def advice(motion, dt: float, limit: float) -> str:
     )
 
 
-def _smoother(run: Callable, motion, method: Method):
+def _smoother(run: Callable, motion, method: AbstractMethod):
     """The motion and the method, refined while the estimate along the rod asks for it."""
     roughness = lambda motion: float(np.max(motion.stats["error"]))
     curable = (RESULTS.successful, RESULTS.inaccurate)
@@ -239,19 +239,19 @@ def _first_substeps(rod: Rod, dt: float, tolerance: float) -> int:
 
     The frequency is that of a cantilever with a tip mass, as a pendulum stiffened by gravity.
     """
-    EI, L = float(np.max(rod.K_bt[:2])), float(rod.L)
-    mass = 0.2427 * float(rod.rho_A) * L + (0.0 if rod.payload is None else float(rod.payload))
+    EI, L = float(np.max(rod.K_bt[..., :2])), float(rod.L)
+    mass = 0.2427 * float(rod.mass) + (0.0 if rod.payload is None else float(rod.payload))
     elastic = 3 * EI / (L**3 * mass)
     gravity = 0.0 if rod.gravity is None else float(np.linalg.norm(rod.gravity))
     omega = math.sqrt(elastic + 2 * gravity / L)
-    damping = 0.0 if rod.B_bt is None else float(np.min(rod.B_bt[:2])) / EI
+    damping = 0.0 if rod.B_bt is None else float(np.min(rod.B_bt[..., :2])) / EI
     decay = min(elastic * damping / 2, omega)
     if decay * dt > math.log(1 / tolerance):
         return 1
     return max(1, math.ceil(_STEPS_PER_RADIAN * omega * dt))
 
 
-def _needs_finer_grid(motion, method: Method, tolerance: float) -> bool:
+def _needs_finer_grid(motion, method: AbstractMethod, tolerance: float) -> bool:
     if 2 * method.intervals > _MOST_INTERVALS:
         return False
     # One that is not a number is above no limit.
@@ -259,7 +259,7 @@ def _needs_finer_grid(motion, method: Method, tolerance: float) -> bool:
     return bool(rough) or int(motion.result) in _CURABLE
 
 
-def _is_smooth(motion, method: Method) -> bool:
+def _is_smooth(motion, method: AbstractMethod) -> bool:
     return not np.max(motion.stats["error"]) > method.max_error
 
 

@@ -9,9 +9,10 @@ cautious one, and costs a few operations along the rod a step.
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from softrod_jax.bvp.method import Method
+from softrod_jax.bvp.method import AbstractMethod
 from softrod_jax.rod.constants import Rod, full_strain
 from softrod_jax.rod.rotations import cross, to_base
+from softrod_jax.rod.shape import ORIGIN
 from softrod_jax.scene.planes import in_space
 from softrod_jax.stepping.schemes import LocalErrors
 
@@ -29,17 +30,17 @@ EFFECTIVE_MASS = 0.2427
 
 def tip_mass(rod: Rod) -> Float[Array, ""]:
     """The mass [kg] at the tip of a cantilever without mass that swings as slowly."""
-    return EFFECTIVE_MASS * rod.rho_A * rod.L + (0.0 if rod.payload is None else rod.payload)
+    return EFFECTIVE_MASS * rod.mass + (0.0 if rod.payload is None else rod.payload)
 
 
-def accumulated(total, errors: LocalErrors, dt, strain, rod: Rod, method: Method):
+def accumulated(total, errors: LocalErrors, dt, strain, rod: Rod, method: AbstractMethod):
     """The estimate after a step of `dt`, in lengths, from the one before it, `total`.
 
     `strain` (points, n): at the end of the step; `errors`: local ones of (strains, velocities).
     Of the estimates of one local error the smallest is taken: each is about as large as the
     error, or larger.
     """
-    pose = method.shape(full_strain(strain, rod), rod.L, jnp.zeros(3), jnp.array([1.0, 0, 0, 0]))
+    pose = method.shape(full_strain(strain, rod), rod.grid, *ORIGIN)
     moved = [
         largest_displacement(error[0], strain, pose[1], rod, method)
         for error in (errors.lower, errors.difference)
@@ -54,18 +55,23 @@ def grown(total) -> Float[Array, ""]:
     return CAUTION * total * (1 + total / _DOUBLES)
 
 
-def largest_displacement(change, strain, attitude, rod: Rod, method: Method) -> Float[Array, ""]:
+def largest_displacement(
+    change, strain, attitude, rod: Rod, method: AbstractMethod
+) -> Float[Array, ""]:
     """How far a small `change` of the strains (points, n) moves a point of the rod, in lengths.
 
     The maximum along the rod and not the tip's: modes whose displacements of the tip cancel now
     do not cancel later.
     """
     if rod.K_se is None:
-        stretch = jnp.zeros((change.shape[0], rod.v_star.size))
+        stretch = jnp.zeros((change.shape[0], rod.v_star.shape[-1]))
         change = jnp.concatenate([stretch, change], -1)
     change = method.outputs(in_space(change, rod.plane))
     tangent = to_base(attitude, method.outputs(full_strain(strain, rod))[:, :3])
+    grid = rod.grid
     spacing = rod.L / (change.shape[0] - 1)
+    if grid.division is not None:
+        spacing = jnp.diff(method.outputs(grid.s))[:, None]
     turned = _integral(to_base(attitude, change[:, 3:]), spacing)
     moved = _integral(to_base(attitude, change[:, :3]) + cross(turned, tangent), spacing)
     return jnp.sqrt(jnp.max(jnp.sum(moved * moved, -1))) / rod.L
@@ -78,9 +84,9 @@ def slowest_decay(rod: Rod) -> Float[Array, ""]:
     """
     if rod.B_bt is None:
         return jnp.zeros(())
-    damping = jnp.min(rod.B_bt[:2])
+    damping = jnp.min(rod.B_bt[..., :2])
     swings = 1.5 * damping / (rod.L**3 * tip_mass(rod))
-    return jnp.minimum(swings, jnp.min(rod.K_bt[:2]) / jnp.maximum(damping, 1e-300))
+    return jnp.minimum(swings, jnp.min(rod.K_bt[..., :2]) / jnp.maximum(damping, 1e-300))
 
 
 def _integral(f: Float[Array, "nodes 3"], spacing) -> Float[Array, "nodes 3"]:

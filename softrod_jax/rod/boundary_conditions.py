@@ -1,0 +1,68 @@
+"""What loads and masses do at single places: at the tip, and at gaps between parts of the rod."""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from softrod_jax.rod.constants import PointLoad, Rod
+from softrod_jax.rod.ode import History, Layout
+from softrod_jax.rod.rotations import cross, to_body
+
+
+class Wrench(NamedTuple):
+    """(N, M) as a function of (h, q, omega) at a node: its value, (6,), and its derivative."""
+
+    value: Float[Array, "6"]
+    by_base_part: Float[Array, "6 a"]
+
+
+def tip_condition(y: Float[Array, "n"], rod: Rod, layout: Layout, history) -> Wrench:
+    """(N, M) at s = L, which the tip's surroundings ask for (paper eq. 13, total wrench).
+
+    Zero for a free tip, whatever the actuators do. `history` is the one at s = L.
+    """
+    load = PointLoad(jnp.ones(1), rod.F_tip, rod.M_tip, rod.payload)
+    if all(x is None for x in (rod.F_tip, rod.M_tip, rod.payload)):
+        return Wrench(jnp.zeros(layout.pair), jnp.zeros((layout.pair, layout.base_size)))
+    base_part = y[: layout.base_size]
+    wrench = lambda part: _applied(load, part, rod, layout, history)
+    return Wrench(wrench(base_part), jax.jacfwd(wrench)(base_part))
+
+
+def gap_conditions(y: Float[Array, "gaps n"], rod: Rod, layout: Layout, history) -> Wrench:
+    """N(s-) - N(s+) and M(s-) - M(s+) at every gap, (gaps, 6), and the derivatives.
+
+    `y`: at the nodes before the gaps, as `history` is.
+    """
+
+    def wrench(base_part, history, here):
+        applied = [_applied(x, base_part, rod, layout, history) for x in rod.at_gaps]
+        return sum(k * w for k, w in zip(here, applied))
+
+    base_part = y[:, : layout.base_size]
+    here = jnp.stack([x.here for x in rod.at_gaps], 1)
+    along = (0, None if history is None else History(None, 0, 0), 0)
+    value = jax.vmap(wrench, along)(base_part, history, here)
+    return Wrench(value, jax.vmap(jax.jacfwd(wrench), along)(base_part, history, here))
+
+
+def _applied(load: PointLoad, base_part, rod: Rod, layout: Layout, history):
+    """The wrench of a load in the body frame, (6,)."""
+    y = jnp.concatenate([base_part, jnp.zeros(layout.pair)])
+    h, q, w, _, _ = layout.split(y)
+    N, M = jnp.zeros(layout.vector), jnp.zeros(layout.turn)
+    if load.F is not None:
+        N = N + (to_body(h, load.F) if load.frame == "base" else load.F)
+    if load.M is not None:
+        # In a plane a turn is the same in both frames.
+        fixed = layout.planar or load.frame == "body"
+        M = M + (load.M if fixed else to_body(h, load.M))
+    if load.mass is not None:
+        if rod.gravity is not None:
+            N = N + load.mass * to_body(h, rod.gravity)
+        if layout.dynamic:
+            q_t = history.c0 * q + history.velocity[: layout.vector]
+            N = N - load.mass * (q_t + cross(w, q))
+    return jnp.concatenate([N, M])
