@@ -16,6 +16,7 @@ from softrod_jax.foundation.precision import require_float64
 from softrod_jax.foundation.results import RESULTS, raise_unless_successful, without_derivative
 from softrod_jax.foundation.tracing import is_traced
 from softrod_jax.rod.constants import clamp_pose, make_rod
+from softrod_jax.rod.markers import seen
 from softrod_jax.rod.rotations import to_base
 from softrod_jax.rod.validity import usable_in_time
 from softrod_jax.scene.checks import checked_scene
@@ -27,6 +28,13 @@ from softrod_jax.stepping.schemes import SDIRK, AbstractTimeScheme
 from softrod_jax.stepping.step_control import advice, run_checked, run_within
 
 
+class Track(eqx.Module):
+    """Where a marker goes: `positions` [m], (times, 3), and `quaternions`, (times, 4)."""
+
+    positions: Float[Array, "times 3"]
+    quaternions: Float[Array, "times 4"]
+
+
 class Trajectory(eqx.Module):
     """A motion; entry 0 is the initial state, entry k + 1 the end of step k.
 
@@ -34,6 +42,9 @@ class Trajectory(eqx.Module):
     - `tip_velocities` [m/s], (steps + 1, 3), base frame.
     - `positions` [m], (steps + 1, outputs, 3); `quaternions` (w, x, y, z), (steps + 1, outputs, 4).
     - `strains` (v, u) and `velocities` (q, omega), (steps + 1, outputs, 6), body frame.
+    - `arc_lengths` [m], (outputs,).
+    - `markers`: by name, "tip" among them, a `Track` with `positions` [m], (steps + 1, 3), and
+      `quaternions`, (steps + 1, 4).
     - `result`: a code of `RESULTS`; 0 is success. `failed_step`: the first step k that has no
       solution, or -1; from there on the rod is held where it was. Where steps are too long for the
       motion (`inaccurate`, and "time_error" above its limit), the first whose error is too large;
@@ -53,6 +64,8 @@ class Trajectory(eqx.Module):
     quaternions: Float[Array, "times outputs 4"]
     strains: Float[Array, "times outputs 6"]
     velocities: Float[Array, "times outputs 6"]
+    arc_lengths: Float[Array, "outputs"]
+    markers: dict[str, Track]
     result: Int[Array, ""]
     failed_step: Int[Array, ""]
     stats: dict
@@ -200,6 +213,9 @@ def _simulate(scene, dt, inputs, begin, steps, substeps, scheme, method, options
     positions, quaternions = jax.vmap(
         lambda strain: method.shape(strain, grid, base, h_base)
     )(strains)
+    nodes = method.outputs(grid.s)
+    inside = jax.vmap(method.inside)(strains)
+    poses = seen(scene, inside, nodes, positions, quaternions)
     error = jax.lax.cummax(stats["time_error"])
     # A step that has no solution is the last one. Others may be inaccurate by themselves.
     solved = (results[-1] == RESULTS.successful) | (results[-1] == RESULTS.inaccurate)
@@ -219,6 +235,8 @@ def _simulate(scene, dt, inputs, begin, steps, substeps, scheme, method, options
             quaternions=quaternions,
             strains=jax.vmap(method.outputs)(strains),
             velocities=velocities,
+            arc_lengths=nodes,
+            markers={name: Track(x.position, x.quaternion) for name, x in poses.items()},
             result=result,
             failed_step=jnp.where(jnp.any(failed), jnp.argmax(failed), -1),
             stats={**stats, "time_error": error, "needed_substeps": needed.astype(jnp.int32)},

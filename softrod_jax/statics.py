@@ -25,7 +25,9 @@ from softrod_jax.foundation.precision import require_float64
 from softrod_jax.foundation.results import RESULTS, raise_unless_successful, without_derivative
 from softrod_jax.foundation.tracing import is_traced
 from softrod_jax.rod.constants import clamp_pose, full_strain, make_rod
+from softrod_jax.rod.markers import seen
 from softrod_jax.rod.ode import layout_of
+from softrod_jax.rod.shape import Pose, pose_between
 from softrod_jax.rod.validity import usable
 from softrod_jax.scene.checks import checked_scene
 from softrod_jax.scene.inputs import actuation, good_inputs, zero_unless
@@ -41,6 +43,7 @@ class StaticSolution(eqx.Module):
       Where along the rod is up to the method: its nodes, or the ends of its steps.
     - `strains` (v, u), (outputs, 6): v [-], u [1/m], body frame.
     - `wrenches` (N, M), (outputs, 6): *total* force [N] and moment [N m], body frame.
+    - `markers`: by name, "tip" among them, a `Pose` (`position` [m], (3,), `quaternion`, (4,)).
     - `result`: a code of `RESULTS`; 0 is success. Else the numbers are the last iterate.
     - `stats`: "iterations", "residual" (Newton's last correction, relative to the size of the
       state), "load_steps" (1: reached at once; more: by continuation in the load), "stable"
@@ -57,10 +60,16 @@ class StaticSolution(eqx.Module):
     quaternions: Float[Array, "outputs 4"]
     strains: Float[Array, "outputs 6"]
     wrenches: Float[Array, "outputs 6"]
+    markers: dict[str, Pose]
     result: Int[Array, ""]
     stats: dict
     point_strains: Float[Array, "points 6"]
     method: AbstractMethod = eqx.field(static=True)
+
+    def at(self, s) -> Pose:
+        """The pose of the section at arc length `s` [m], a number that can be traced."""
+        inside = self.method.inside(self.point_strains)
+        return pose_between(inside, self.arc_lengths, self.positions, self.quaternions, s)
 
 
 def solve_static(
@@ -153,15 +162,17 @@ def _solution(scene, rod, method, solved, valid, transient_steps):
     fields, error = solved.fields, solved.found.error
     strain = full_strain(fields.strain, rod)
     positions, quaternions = method.shape(strain, rod.grid, *clamp_pose(scene))
+    nodes = method.outputs(rod.grid.s)
     wrench = method.outputs(fields.y)[:, -layout_of(rod, dynamic=False).pair :]
     solution = StaticSolution(
         tip_position=positions[-1],
         tip_quaternion=quaternions[-1],
-        arc_lengths=method.outputs(rod.grid.s),
+        arc_lengths=nodes,
         positions=positions,
         quaternions=quaternions,
         strains=method.outputs(strain),
         wrenches=in_space(wrench, rod.plane),
+        markers=seen(scene, method.inside(strain), nodes, positions, quaternions),
         result=result,
         stats={
             "iterations": solved.found.iterations,

@@ -122,6 +122,11 @@ class Collocation(AbstractMethod):
             strain, grid.h, base_position, base_quaternion, at[order], formula.b[order]
         )
 
+    def inside(self, strain) -> Float[Array, "intervals k 6"]:
+        """The points of each interval."""
+        first = np.arange(0, strain.shape[0] - 1, self._stride)
+        return strain[first[:, None] + np.arange(self._stride + 1)]
+
     def unknowns(self, guess: Guess, rod: Rod) -> Float[Array, "points columns"]:
         """States at all points, beside them the strains if there are tendons."""
         return guess.y if rod.tau is None else jnp.concatenate([guess.y, guess.strain], -1)

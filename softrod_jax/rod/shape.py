@@ -5,6 +5,7 @@ to 257), with the quadrature of the method that gave the strains. A rod of const
 any number of turns, comes out exactly.
 """
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -54,6 +55,46 @@ def integrate_shape(
         jnp.concatenate([base_position[None], p]),
         jnp.concatenate([base_quaternion[None], r]),
     )
+
+
+class Pose(eqx.Module):
+    """Where a section is: `position` [m], (3,), and `quaternion` (w, x, y, z), (4,)."""
+
+    position: Float[Array, "*batch 3"]
+    quaternion: Float[Array, "*batch 4"]
+
+    def moved(self, offset: Float[Array, "3"] | None) -> "Pose":
+        """That of a point that is `offset` [m] away, in the frame of the section."""
+        if offset is None:
+            return self
+        return Pose(self.position + to_base(self.quaternion, offset), self.quaternion)
+
+
+def pose_between(
+    strain: Float[Array, "intervals k 6"],
+    nodes: Float[Array, "nodes"],
+    positions: Float[Array, "nodes 3"],
+    quaternions: Float[Array, "nodes 4"],
+    s,
+) -> Pose:
+    """The pose at arc length `s` [m], between nodes at `nodes` [m] with known poses.
+
+    `strain`: (v, u) at k equally spaced points of each interval, both ends included. From the node
+    before `s` on, as `integrate_shape` does over whole intervals.
+    """
+    k = jnp.clip(jnp.searchsorted(nodes, s, side="right") - 1, 0, nodes.shape[0] - 2)
+    h = nodes[k + 1] - nodes[k]
+    part = (s - nodes[k]) / jnp.where(h > 0, h, 1.0)
+    at = part * np.arange(5) / 4
+    points = np.linspace(0.0, 1.0, strain.shape[1])
+    others = ~np.eye(len(points), dtype=bool)
+    numerator = jnp.prod(jnp.where(others, at[:, None, None] - points, 1.0), -1)
+    weights = numerator / np.prod(np.where(others, points[:, None] - points, 1.0), -1)
+    local = weights @ strain[k]
+    p, q = integrate_shape(
+        local, part * h, positions[k], quaternions[k], np.arange(5) / 4, BOOLE
+    )
+    return Pose(p[-1], q[-1])
 
 
 def _magnus(A0, A1, A2):
