@@ -31,6 +31,7 @@ _VANISHING = 0.02
 def loads_of(rod: Rod) -> list:
     """Those that there are of tensions, pressures, gravity and tip loads."""
     every = [rod.tau, rod.n_ch, rod.m_ch, rod.gravity, rod.weight, rod.F_tip, rod.M_tip]
+    every.append(rod.load_factor)
     if rod.at_gaps is not None:
         every += [x for load in rod.at_gaps for x in (load.F, load.M)]
     return [x for x in every if x is not None]

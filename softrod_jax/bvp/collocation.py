@@ -129,7 +129,7 @@ class Collocation(AbstractMethod):
 
     def unknowns(self, guess: Guess, rod: Rod) -> Float[Array, "points columns"]:
         """States at all points, beside them the strains if there are tendons."""
-        return guess.y if rod.tau is None else jnp.concatenate([guess.y, guess.strain], -1)
+        return guess.y if rod.explicit_strains else jnp.concatenate([guess.y, guess.strain], -1)
 
     def states(self, U, layout: Layout) -> Float[Array, "nodes n"]:
         """The states at the nodes."""
@@ -153,7 +153,7 @@ class Collocation(AbstractMethod):
 
         wide = wide_defect(nodes, known, h, self._stride, rates_at, self.division)
         inner = [jnp.zeros_like(nodes[1:])] * len(self._formula.c)
-        forces = None if rod.tau is None else jnp.zeros_like(strain)
+        forces = None if rod.explicit_strains else jnp.zeros_like(strain)
         moved = correct(_Residual(wide.defect, inner, forces))[:, : layout.size]
         better = full_strain(self._strain_at(wide.y + moved, strain, rod), rod)
         coarse = self.shape(full_strain(strain, rod), rod.grid, *ORIGIN)[0][-1]
@@ -192,7 +192,7 @@ class Collocation(AbstractMethod):
             y_r - (1 - v) * y[0] - v * y[1] - h * sum(a * f_j for a, f_j in zip(x, f))
             for y_r, v, x in zip(y[2:], formula.v, formula.x)
         ]
-        forces = None if rod.tau is None else imbalance(problem, strain)
+        forces = None if rod.explicit_strains else imbalance(problem, strain)
         defect = y[1] - y[0] - h * increment
         if rod.at_gaps is not None:
             applied = self._at_gaps(states, rod, layout, history).value
@@ -215,7 +215,7 @@ class Collocation(AbstractMethod):
             moves.append(beside(1 - v, v) + sum(a * G_j for a, G_j in zip(x, G)))
             G.append(A_r @ moves[-1])
         ends = beside(-1, 1) - sum(b * G_r for b, G_r in zip(formula.b, G))
-        strains = None if rod.tau is None else (at.compliance, at.wrench, rod.grid)
+        strains = None if rod.explicit_strains else (at.compliance, at.wrench, rod.grid)
         left, right = jnp.split(ends, 2, axis=-1)
         if rod.at_gaps is not None:
             slope = self._at_gaps(y, rod, layout, history).by_base_part
@@ -254,7 +254,7 @@ class Collocation(AbstractMethod):
         """States, strains and the pointwise problem of which they are the solution."""
         y = U[:, : layout.size]
         problem = pointwise_problem(y, rod, history)
-        strain = recover_strain(problem, None)[0] if rod.tau is None else U[:, layout.size :]
+        strain = recover_strain(problem, None)[0] if rod.explicit_strains else U[:, layout.size :]
         return y, strain, problem
 
     def _at_gaps(self, y, rod, layout, history):

@@ -14,6 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from softrod_jax.rod.energies import stiffness_at_rest
 from softrod_jax.rod.grid import (
     Division,
     Grid,
@@ -24,6 +25,7 @@ from softrod_jax.rod.grid import (
     places_of,
     uniform_grid,
 )
+from softrod_jax.scene.acting import AbstractDistributedLoad, AbstractEnergy
 from softrod_jax.scene.planes import about_normal, angle_in, in_space, turn_in, vector_in
 from softrod_jax.scene.scene import Scene
 from softrod_jax.scene.segments import Segment
@@ -60,6 +62,8 @@ class Rod(eqx.Module):
     - `n_ch`* [N], `m_ch`* [N m]: (3,), body frame: -dW_act/d(v, u) of the chambers, or None.
     - `payload` [kg] or None; `gravity` [m/s^2] or None; `F_tip` [N], `M_tip` [N m] or None.
     - `at_gaps`: loads and masses along the rod.
+    - `material`, `energies`, `distributed_loads`: those of users, at arc lengths `s`* [m]; the last
+      two times `load_factor`.
     - `h_base`: quaternion of the clamp, (4,).
 
     `K_se` is None for an inextensible rod. In a `plane`, (3,) becomes (2,) for v, q, N and (1,)
@@ -89,6 +93,11 @@ class Rod(eqx.Module):
     F_tip: Float[Array, "3"] | None = None
     M_tip: Float[Array, "3"] | None = None
     at_gaps: tuple[PointLoad, ...] | None = None
+    material: AbstractEnergy | None = None
+    energies: tuple[AbstractEnergy, ...] | None = None
+    distributed_loads: tuple[AbstractDistributedLoad, ...] | None = None
+    load_factor: Scalar | None = None
+    s: Float[Array, "points"] | None = None
     plane: str | None = eqx.field(static=True, default=None)
 
     @property
@@ -109,15 +118,30 @@ class Rod(eqx.Module):
         return self.K_bt.shape[-1] + (0 if self.K_se is None else self.K_se.shape[-1])
 
     @property
+    def explicit_strains(self) -> bool:
+        """Whether the energy is quadratic: strains then follow without iterations."""
+        return self.tau is None and self.material is None and self.energies is None
+
+    @property
+    def reach(self) -> Scalar:
+        """The radius [m] of a round section that is as stiff."""
+        if self.K_se is None:
+            return self.L
+        return 2 * jnp.sqrt(jnp.max(self.K_bt[..., 0]) / jnp.max(self.K_se[..., -1]))
+
+    @property
     def has_dead_load(self) -> bool:
         """Whether a load is fixed in the base frame, so that the attitude matters."""
+        if self.distributed_loads is not None:
+            return True
         gaps = self.at_gaps or ()
         along = [x.F if x.F is not None else x.M for x in gaps if x.frame == "base"]
         return any(x is not None for x in (self.gravity, self.F_tip, self.M_tip, *along))
 
     def map_points(self, function) -> "Rod":
         """The rod with `function` of everything that varies along it: (points, ...) to (m, ...)."""
-        names = [name for name, axes in _AXES.items() if jnp.ndim(getattr(self, name)) > axes]
+        own = {name: getattr(self, name) for name in _AXES}
+        names = [n for n, x in own.items() if x is not None and x.ndim > _AXES[n]]
         if not names:
             return self
         pick = lambda rod: [getattr(rod, name) for name in names]
@@ -129,6 +153,7 @@ _AXES = {
     **dict.fromkeys(("K_se", "K_bt", "v_star", "u_star", "rho_A", "rho_J", "B_se", "B_bt", "C"), 1),
     **dict.fromkeys(("weight", "tau", "front_viscosity", "n_ch", "m_ch"), 1),
     **dict.fromkeys(("r", "r_s"), 2),
+    "s": 0,
 }
 
 # In units of rho ds^2 / E, with ds the distance of points. Smaller ones let the fronts of large
@@ -163,6 +188,7 @@ def make_rod(
     if tensions is not None and spread_fronts and stretches:
         front = _FRONT_VISCOSITY * grid.widest**2 * body.rho_A / body.K_se[..., 2:]
     gravity, load = vector_in(plane, scene.gravity), scene.tip_load
+    own, one = (scene.material, scene.energies, scene.distributed_loads), jnp.ones(())
     rod = Rod(
         grid=grid,
         K_se=K_se,
@@ -188,6 +214,11 @@ def make_rod(
         F_tip=None if load is None else vector_in(plane, load.force),
         M_tip=None if load is None else turn_in(plane, load.moment),
         at_gaps=_point_loads(scene, grid),
+        material=scene.material,
+        energies=scene.energies,
+        distributed_loads=scene.distributed_loads,
+        load_factor=None if scene.energies is None and scene.distributed_loads is None else one,
+        s=None if all(x is None for x in own) else grid.s,
         plane=plane,
     )
     if plane is None:
@@ -225,7 +256,7 @@ def _along(scene: Scene, grid: Grid) -> _Body:
     start, bodies = 0.0, []
     for segment in segments:
         x = (grid.s - start) / segment.length
-        bodies.append(_body(segment, jnp.clip(x, 0.0, 1.0), scene.inextensible))
+        bodies.append(_body(segment, jnp.clip(x, 0.0, 1.0), scene.inextensible, scene.material))
         start = start + segment.length
     if len(segments) == 1:
         return bodies[0]
@@ -254,17 +285,17 @@ _SOURCES = {
 }
 
 
-def _body(segment: Segment, x: Float[Array, "points"], inextensible: bool) -> _Body:
+def _body(segment: Segment, x: Float[Array, "points"], inextensible: bool, material) -> _Body:
     """The numbers of a segment; `x`: the parts of its length at which the points are."""
 
     def at(x):
         """Of a section whose dimensions change linearly."""
         mix = lambda a, b: (1 - x) * a + x * b
         section = jax.tree.map(mix, segment.section, segment.section_at_end)
-        return _stiffness_and_mass(segment, section)
+        return _stiffness_and_mass(segment, section, material)
 
     if segment.section_at_end is None:
-        K_se, K_bt, rho_A, rho_J = _stiffness_and_mass(segment, segment.section)
+        K_se, K_bt, rho_A, rho_J = _stiffness_and_mass(segment, segment.section, material)
     else:
         K_se, K_bt, rho_A, rho_J = jax.vmap(at)(x)
     return _Body(
@@ -314,7 +345,7 @@ def _selected(values, number):
     return chosen
 
 
-def _stiffness_and_mass(segment: Segment, section):
+def _stiffness_and_mass(segment: Segment, section, material):
     """K_se (or None), K_bt, rho_A and rho_J where this is a segment's section."""
     I = section.second_moments
     if segment.linear_density is None:
@@ -322,7 +353,10 @@ def _stiffness_and_mass(segment: Segment, section):
     else:
         rho, rho_A = segment.linear_density / section.area, segment.linear_density
     measured = segment.stiffness
-    if measured is None:
+    if material is not None:
+        v = _or(segment.rest_stretch, (0.0, 0.0, 1.0))
+        K_se, K_bt = stiffness_at_rest(material, v, _or(segment.rest_curvature, (0.0, 0.0, 0.0)))
+    elif measured is None:
         E = segment.young_modulus
         G = E / (2 * (1 + segment.poisson_ratio))
         K_bt = jnp.stack([E * I[0], E * I[1], G * section.torsion_constant])

@@ -28,12 +28,15 @@ import functools
 from typing import NamedTuple
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
 from softrod_jax.rod.constants import Rod
 from softrod_jax.rod.constitutive import compliance, local_problem, recover_strain
 from softrod_jax.rod.rotations import cross, hat, hats, to_body
+from softrod_jax.scene.acting import Here
+from softrod_jax.scene.planes import in_space, quaternion_in, turn_in, vector_in
 
 Points = Float[Array, "*points n"]
 
@@ -162,8 +165,7 @@ def rod_ode_jacobian(
     f_y, f_strain = _partial_derivatives(y, strain, rod, layout, history)
     problem = pointwise_problem(y, rod, history)
     C = compliance(problem, strain)
-    explicit = problem.tau is None
-    by_wrench = f_strain / problem.k[..., None, :] if explicit else f_strain @ C
+    by_wrench = f_strain / problem.k[..., None, :] if problem.explicit else f_strain @ C
     n = rod.strain_size
     state = jnp.concatenate([f_y[..., :-n], f_y[..., -n:] + by_wrench], -1)
     return Jacobian(state, C, by_wrench)
@@ -202,6 +204,9 @@ def rates(y, strain, rod, layout, history):
             N_s = N_s + rod.C * q * jnp.abs(q)  # eq. 10: f_d = -R C (q o |q|)
     if rod.weight is not None:
         N_s = N_s - to_body(h, rod.weight)  # eq. 10: f_g = rho A g
+    if rod.distributed_loads is not None:
+        applied = distributed(y[..., : layout.base_size], rod, layout)
+        N_s, M_s = N_s - applied[..., : layout.vector], M_s - applied[..., layout.vector :]
     return layout.join(h_s, q_s, w_s, N_s, M_s)
 
 
@@ -250,6 +255,10 @@ def _partial_derivatives(y, strain, rod, layout, history):
     f_strain = _blocks([row[layout.inextensible :] for row in strains])
     if layout.attitude:
         f_y, f_strain = _with_attitude(f_y, f_strain, h, u, rod, layout)
+    if rod.distributed_loads is not None:
+        base_part = y[..., : layout.base_size]
+        slope = distributed(base_part, rod, layout, jax.jacfwd, "(i,n)")
+        f_y = f_y.at[..., -layout.pair :, : layout.base_size].add(-slope)
     return f_y, f_strain
 
 
@@ -297,6 +306,22 @@ def to_body_by_attitude(h, a):
 
 def _blocks(rows):
     return jnp.concatenate([jnp.concatenate(row, -1) for row in rows], -2)
+
+
+def distributed(base_part, rod: Rod, layout: Layout, of=lambda f: f, shape="(i)"):
+    """The loads of users per unit of rod in the body frame, (*points, 6), or their derivative."""
+
+    def at_point(base_part, s):
+        h, q, w, _, _ = layout.split(jnp.concatenate([base_part, jnp.zeros(layout.pair)]))
+        still = jnp.zeros(layout.pair)
+        moving = jnp.concatenate([q, w]) if layout.dynamic else still
+        moving = in_space(moving, rod.plane)
+        here = Here(s, quaternion_in(rod.plane, h), moving[:3], moving[3:])
+        f, l = (sum(x) for x in zip(*(load.wrench(here) for load in rod.distributed_loads)))
+        applied = jnp.concatenate([vector_in(rod.plane, f), turn_in(rod.plane, l)])
+        return rod.load_factor * applied
+
+    return jnp.vectorize(of(at_point), signature=f"(n),()->{shape}")(base_part, rod.s)
 
 
 def sizes(Y: Points, rod: Rod, layout: Layout, history: History | None) -> Float[Array, "n"]:

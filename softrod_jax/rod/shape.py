@@ -91,9 +91,7 @@ def pose_between(
     numerator = jnp.prod(jnp.where(others, at[:, None, None] - points, 1.0), -1)
     weights = numerator / np.prod(np.where(others, points[:, None] - points, 1.0), -1)
     local = weights @ strain[k]
-    p, q = integrate_shape(
-        local, part * h, positions[k], quaternions[k], np.arange(5) / 4, BOOLE
-    )
+    p, q = integrate_shape(local, part * h, positions[k], quaternions[k], np.arange(5) / 4, BOOLE)
     return Pose(p[-1], q[-1])
 
 

@@ -50,6 +50,15 @@ def angle_in(plane: str, h: Float[Array, "4"]) -> Float[Array, "1"]:
     return 2 * jnp.arctan2(turn_in(plane, h[1:]), h[:1])
 
 
+def quaternion_in(plane: str | None, h: Float[Array, "n"]) -> Float[Array, "4"]:
+    """The quaternion of an attitude, which is an angle in a plane."""
+    if plane is None:
+        return h
+    a, o = 0.5 * h[0], jnp.zeros(())
+    turn = (o, jnp.sin(a), o) if plane == "xz" else (-jnp.sin(a), o, o)
+    return jnp.stack([jnp.cos(a), *turn])
+
+
 def in_space(pair: Float[Array, "*points n"], plane: str | None) -> Float[Array, "*points 6"]:
     """A vector and a turn with all their components: zeros for those off the plane."""
     if plane is None:

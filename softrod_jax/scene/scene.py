@@ -12,6 +12,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from softrod_jax.scene.acting import AbstractDistributedLoad, AbstractEnergy
 from softrod_jax.scene.chambers import Chambers
 from softrod_jax.scene.loads import DEAD_LOAD, Load, Marker, Mass, Payload, TipLoad
 from softrod_jax.scene.ranges import number
@@ -35,6 +36,8 @@ class Scene(eqx.Module):
     - `segments`: parts of the rod, from base to tip, each with a length and a section of its own,
       and whatever else is not as this scene says. `length` is then their sum, and `section` None.
     - `section_at_end`: the section at the tip, to which its dimensions change linearly.
+    - `material`: a law of one's own instead of the linear one; `energies` and `distributed_loads`:
+      whatever else acts, see `AbstractEnergy` and `AbstractDistributedLoad`.
     - `stiffness` instead of the moduli and `linear_density` [kg/m] instead of the density.
     - `bending_damping` B_bt [N m^2 s] and `shear_damping` B_se [N s]: Kelvin-Voigt, a number
       or (3,) for x, y, z of the body frame.
@@ -85,6 +88,9 @@ class Scene(eqx.Module):
     loads: tuple[Load, ...] | None = None
     masses: tuple[Mass, ...] | None = None
     markers: tuple[Marker, ...] | None = None
+    material: AbstractEnergy | None = None
+    energies: tuple[AbstractEnergy, ...] | None = None
+    distributed_loads: tuple[AbstractDistributedLoad, ...] | None = None
     inextensible: bool = eqx.field(static=True, default=False)
     plane: str | None = eqx.field(static=True, default=None)
 
@@ -92,7 +98,7 @@ class Scene(eqx.Module):
         if self.segments is not None:
             self.segments = tuple(self.segments)
             self.length = total_length(self.segments)
-        for name in ("loads", "masses", "markers"):
+        for name in ("loads", "masses", "markers", "energies", "distributed_loads"):
             parts = getattr(self, name)
             setattr(self, name, tuple(parts) if parts else None)
 

@@ -1,0 +1,48 @@
+"""What acts on a rod, as objects: the interfaces for materials, actuators and loads of one's own.
+
+Physics enters a rod as an energy per unit of rod or as a load per unit of rod. A class that says
+what one of them is, as a function written with JAX, is all that the solver needs: derivatives,
+continuation, motions, gradients and batches follow from it.
+"""
+
+import abc
+from typing import NamedTuple
+
+import equinox as eqx
+from jaxtyping import Array, Float
+
+Scalar = Float[Array, ""]
+
+
+class AbstractEnergy(eqx.Module):
+    """An energy per unit of rod, W(v, u): of a material, or of an actuator.
+
+    Its derivatives by v and u are the force [N] and the moment [N m] of a section in the body
+    frame. It must be convex, or strains are not unique. As `Scene.material` it stands instead of
+    the linear law; those in `Scene.energies` add to it, and rise from zero in a continuation.
+    """
+
+    @abc.abstractmethod
+    def density(self, v: Float[Array, "3"], u: Float[Array, "3"], s: Scalar) -> Scalar:
+        """W [N] for the strains v [-] and u [1/m] at arc length `s` [m]."""
+
+
+class Here(NamedTuple):
+    """A place along the rod at one instant.
+
+    - `s` [m]; `quaternion` (w, x, y, z): the attitude of the section, body to base.
+    - `velocity` [m/s] and `angular_velocity` [rad/s], (3,) each, body frame; zero in statics.
+    """
+
+    s: Scalar
+    quaternion: Float[Array, "4"]
+    velocity: Float[Array, "3"]
+    angular_velocity: Float[Array, "3"]
+
+
+class AbstractDistributedLoad(eqx.Module):
+    """A force and a moment per unit of rod, which may depend on attitude and velocity."""
+
+    @abc.abstractmethod
+    def wrench(self, here: Here) -> tuple[Float[Array, "3"], Float[Array, "3"]]:
+        """The force [N/m] and the moment [N], (3,) each, in the body frame."""

@@ -1,0 +1,203 @@
+"""Energies, materials and distributed loads that exist only here: one class each.
+
+Each works in statics, motions, derivatives, batches and continuation, and none of it is known to
+the package.
+"""
+
+import dataclasses
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import softrod_jax as sr
+from softrod_jax.rod.rotations import to_body
+from softrod_jax.scene.scene import as_arrays
+
+METHOD = sr.Collocation(6)
+L, R, E = 0.1, 6e-3, 5e4
+EA, EI = E * np.pi * R**2, E * np.pi * R**4 / 4
+
+
+class Stiffening(sr.AbstractEnergy):
+    """Springs that resist bending the more, the more they are bent: k4 |u|^4 / 4."""
+
+    k4: jax.Array
+
+    def density(self, v, u, s):
+        return 0.25 * self.k4 * jnp.sum(u * u) ** 2
+
+
+class Linear(sr.AbstractEnergy):
+    """The linear law of the package, written as an energy."""
+
+    E: jax.Array
+    nu: float
+
+    def density(self, v, u, s):
+        G, A, I = self.E / (2 * (1 + self.nu)), np.pi * R**2, np.pi * R**4 / 4
+        K_se = jnp.stack([G * A, G * A, self.E * A])
+        K_bt = jnp.stack([self.E * I, self.E * I, 2 * G * I])
+        e = v - jnp.array([0.0, 0.0, 1.0])
+        return 0.5 * (e @ (K_se * e) + u @ (K_bt * u))
+
+
+class Logarithmic(Linear):
+    """A law whose force is EA (1 - 1/l) in pure stretch l."""
+
+    def density(self, v, u, s):
+        A, l = np.pi * R**2, v[2]
+        straight = 0.5 * self.E * A * (l - 1) ** 2
+        return super().density(v, u, s) - straight + self.E * A * (l - 1 - jnp.log(l))
+
+
+class Wind(sr.AbstractDistributedLoad):
+    """A force per length that is the same everywhere, [N/m], base frame."""
+
+    force: jax.Array
+
+    def wrench(self, here):
+        return to_body(here.quaternion, self.force), jnp.zeros(3)
+
+
+class Water(sr.AbstractDistributedLoad):
+    """Square-law drag."""
+
+    C: jax.Array
+
+    def wrench(self, here):
+        return -self.C * here.velocity * jnp.abs(here.velocity), jnp.zeros(3)
+
+
+def rod(**changes):
+    own = dict(
+        length=L,
+        section=sr.Circle(R),
+        young_modulus=E,
+        poisson_ratio=0.49,
+        density=1070.0,
+        bending_damping=1e-6,
+    )
+    return as_arrays(sr.Scene(**(own | changes)))
+
+
+WEIGHT = 1070.0 * np.pi * R**2 * 9.81
+ACROSS = np.array([-9.81, 0.0, 0.0])
+PULLS = dict(tendons=sr.Tendons([[4e-3, 0.0], [0.0, 4e-3]]))
+
+
+def linear(**changes):
+    """A rod of the linear law, as a material of one's own."""
+    own = dict(young_modulus=None, poisson_ratio=None, material=Linear(E, 0.49))
+    return rod(**(own | changes))
+
+
+def windy(**changes):
+    return rod(distributed_loads=(Wind(WEIGHT * ACROSS / 9.81),), **changes)
+
+
+PAIRS = {
+    "material": (linear(gravity=ACROSS, **PULLS), rod(gravity=ACROSS, **PULLS)),
+    "material, inextensible": (
+        linear(gravity=ACROSS, inextensible=True),
+        rod(gravity=ACROSS, inextensible=True),
+    ),
+    "material, plane": (linear(gravity=ACROSS, plane="xz"), rod(gravity=ACROSS, plane="xz")),
+    "load": (windy(**PULLS), rod(gravity=ACROSS, **PULLS)),
+    "load, plane": (windy(plane="xz"), rod(gravity=ACROSS, plane="xz")),
+}
+
+
+def tensions(scene):
+    return None if scene.tendons is None else jnp.array([0.3, 0.1])
+
+
+def moved(scene, steps=6):
+    pulls = tensions(scene)
+    rows = None if pulls is None else jnp.tile(pulls, (steps, 1))
+    motion = sr.simulate(
+        scene, 0.01, rows, steps=steps, method=METHOD, max_time_error=0.5, throw=False
+    )
+    return motion.tip_positions, motion.result
+
+
+@pytest.mark.parametrize("name", PAIRS)
+def test_what_is_written_again_does_the_same(name):
+    own, built_in = PAIRS[name]
+    still = [sr.solve_static(x, tensions(x), method=METHOD) for x in (own, built_in)]
+    np.testing.assert_allclose(still[0].positions, still[1].positions, rtol=0, atol=1e-9)
+    moving = [jax.jit(moved)(x) for x in (own, built_in)]
+    assert [int(x[1]) for x in moving] == [0, 0]
+    np.testing.assert_allclose(moving[0][0], moving[1][0], rtol=0, atol=1e-8)
+
+
+def test_drag_written_again_does_the_same():
+    own = rod(gravity=ACROSS, distributed_loads=(Water(jnp.full(3, 2.0)),))
+    built_in = rod(gravity=ACROSS, drag_coefficient=jnp.full(3, 2.0))
+    a, b, none = (jax.jit(moved)(x)[0] for x in (own, built_in, rod(gravity=ACROSS)))
+    assert np.abs(b - none).max() > 1e-3
+    np.testing.assert_allclose(a, b, rtol=0, atol=1e-9)
+
+
+@pytest.mark.parametrize("method", [METHOD, sr.Shooting(2, 10)], ids=["collocation", "shooting"])
+def test_springs_have_their_closed_form(method):
+    """E I u + k4 u^3 = M0 under a moment at the tip."""
+    k4, u = 3e-7, 12.0
+    M0 = EI * u + k4 * u**3
+    load = sr.TipLoad(moment=np.array([0.0, M0, 0.0]))
+    solution = sr.solve_static(rod(tip_load=load, energies=(Stiffening(k4),)), method=method)
+    np.testing.assert_allclose(solution.strains[:, 4], u, rtol=1e-9)
+
+
+def test_a_material_has_its_closed_form():
+    """EA (1 - 1/l) = N under a force along the rod, in a steep continuation."""
+    N = 0.9 * EA
+    scene = rod(
+        young_modulus=None,
+        poisson_ratio=None,
+        material=Logarithmic(E, 0.49),
+        tip_load=sr.TipLoad(force=np.array([0.0, 0.0, N])),
+    )
+    solution = sr.solve_static(scene, method=METHOD)
+    np.testing.assert_allclose(solution.strains[:, 2], 10.0, rtol=1e-8)
+
+
+def test_derivatives_and_batches():
+    """Forward, reverse and central differences agree, and a batch is a loop."""
+    scene = rod(
+        gravity=ACROSS,
+        energies=(Stiffening(1e-7),),
+        distributed_loads=(Wind(np.array([0.0, 0.3, 0.1])),),
+        **PULLS,
+    )
+
+    def tip(x):
+        changed = dataclasses.replace(
+            scene,
+            energies=(Stiffening(1e-7 * x[0]),),
+            distributed_loads=(Wind(x[1] * jnp.array([0.0, 0.3, 0.1])),),
+        )
+        still = sr.solve_static(changed, tensions(scene), method=METHOD, throw=False)
+        return jnp.concatenate([still.tip_position, moved(changed, 3)[0][-1]])
+
+    at = jnp.array([1.0, 0.8])
+    forward, reverse = jax.jit(jax.jacfwd(tip))(at), jax.jit(jax.jacrev(tip))(at)
+    assert np.abs(forward).min(axis=0).max() > 1e-6
+    np.testing.assert_allclose(forward, reverse, rtol=0, atol=1e-9 * np.abs(forward).max())
+    batch = jax.jit(jax.vmap(tip))
+    d = 1e-3
+    points = jnp.stack([at + s * d * e for e in jnp.eye(2) for s in (1.0, -1.0)])
+    moved_by = batch(points)
+    slopes = np.stack([(moved_by[0] - moved_by[1]), (moved_by[2] - moved_by[3])], 1) / (2 * d)
+    np.testing.assert_allclose(forward, slopes, rtol=0, atol=1e-5 * np.abs(forward).max())
+    np.testing.assert_allclose(moved_by[1], jax.jit(tip)(points[1]), rtol=0, atol=1e-12)
+
+
+def test_continuation_raises_loads_of_ones_own():
+    """A wind of 40 times the weight: loads rise in steps, and the answer is that of gravity."""
+    strong = 40 * WEIGHT * ACROSS / 9.81
+    own = sr.solve_static(rod(distributed_loads=(Wind(strong),)))
+    gravity = sr.solve_static(rod(gravity=40 * ACROSS))
+    assert int(own.stats["load_steps"]) > 1
+    np.testing.assert_allclose(own.tip_position, gravity.tip_position, rtol=0, atol=1e-8)
