@@ -177,7 +177,7 @@ BAD = [
     ("unknown key", replaced("young_m", "youngs_m"), ["rod.youngs_modulus", '"young_modulus"']),
     ("unknown in section", replaced("radius", "radios"), ["rod.section.radios", '"radius"']),
     ("unknown in tendon", ROBOT + "[[tendons]]\nofset = [0, 0]", ["tendons[2].ofset", '"offset"']),
-    ("unknown far off", ROBOT + "[zebra]", ["zebra", "allowed here: rod, tendons"]),
+    ("unknown far off", ROBOT + "[zebra]", ["zebra", "allowed here: rod, segments, tendons"]),
     ("missing key", replaced("length = 0.1", ""), ["rod.length is missing", "above 0"]),
     ("missing section", replaced("section =", "# section ="), ["rod.section is missing"]),
     ("missing shape", replaced('shape = "circle", ', ""), ["rod.section.shape", "annulus"]),

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
 from softrod_jax.rod.constants import make_rod
-from softrod_jax.scene.checks import parts_of, relations_of
+from softrod_jax.scene.checks import parts_of, rules_of
 from softrod_jax.scene.planes import fits_plane
 from softrod_jax.scene.scene import Scene, with_total_length
 
@@ -20,12 +20,11 @@ def usable(scene: Scene, good=True, tensions=None, pressures=None) -> tuple[Scen
     `good`: whether all other inputs can be. `tensions` and `pressures`: constant ones. A rod whose
     stiffness or mass overflows, or is lost in rounding, cannot be either.
     """
-    parts, good = parts_of(scene, "rod"), jnp.asarray(good)
+    parts, good = parts_of(scene), jnp.asarray(good)
     for part in parts:
         good &= jnp.all(part.number.fits(part.value, jnp))
-    for owner in (scene, scene.section):
-        for _, holds, _ in relations_of(owner):
-            good &= jnp.all(holds)
+    for rule in rules_of(scene):
+        good &= jnp.all(rule.holds)
     if scene.plane is not None:
         good &= fits_plane(scene)
     rod = make_rod(scene, tensions, pressures)
@@ -36,7 +35,7 @@ def usable(scene: Scene, good=True, tensions=None, pressures=None) -> tuple[Scen
         good &= True if x is None else jnp.all((x > 0) & (x < jnp.inf))
     leaves, structure = jax.tree.flatten(scene)
     leaves = [
-        jnp.where(good, x, jnp.asarray(part.number.harmless, dtype=float))
+        jnp.where(good, x, part.number.stand_in(jnp.shape(x)))
         for x, part in zip(leaves, parts, strict=True)
     ]
     return with_total_length(jax.tree.unflatten(structure, leaves)), good

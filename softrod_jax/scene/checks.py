@@ -1,10 +1,10 @@
 """Scenes that cannot be: what is known at once raises, and what is traced becomes a code.
 
-The ranges are those of `ranges.py`, for every number of the scene alike. What becomes of traced
-ones is in `rod/validity.py`.
+The ranges are those of `ranges.py`, for every number of the scene alike; what must be there is in
+`completeness.py`, and what must fit where in `placement.py`. What becomes of traced numbers is in
+`rod/validity.py`.
 """
 
-import dataclasses
 import operator
 from collections.abc import Iterator
 from typing import Any, NamedTuple
@@ -15,9 +15,11 @@ import jax.numpy as jnp
 import numpy as np
 
 from softrod_jax.foundation.tracing import is_traced
+from softrod_jax.scene.completeness import incomplete
+from softrod_jax.scene.placement import Rule, arc_lengths, outside_sections
 from softrod_jax.scene.planes import misfits
-from softrod_jax.scene.ranges import ANY, Number, numbers_of
-from softrod_jax.scene.scene import Scene, as_arrays, is_list
+from softrod_jax.scene.ranges import ANY, Number, fields_of, numbers_of
+from softrod_jax.scene.scene import Scene, as_arrays, map_numbers, total_length
 
 
 class _Part(NamedTuple):
@@ -43,7 +45,8 @@ def checked_scene(who: str, scene: Scene) -> Scene:
     if last is not None and all(map(operator.is_, leaves, last.leaves)):
         return last.arrays
     for key, value, remedy in impossible(scene):
-        raise ValueError(f"{who}: the scene's {key} = {value}: {remedy}")
+        stated = f"{key} is missing" if value is None else f"{key} = {value}"
+        raise ValueError(f"{who}: the scene's {stated}: {remedy}")
     arrays = as_arrays(scene)
     for key, value, remedy in misfits(arrays):
         raise ValueError(f"{who}: the scene's {key} = {value}: {remedy}")
@@ -66,46 +69,113 @@ _last_checked: dict[Any, _Checked] = {}
 
 
 def impossible(scene: Scene) -> Iterator[tuple[str, Any, str]]:
-    """What cannot be, where it is known: key, value, remedy."""
-    parts = parts_of(scene, "rod")
+    """What cannot be, where it is known: key, value (`None` where it is missing), remedy."""
     wrong = False
-    for part in parts:
-        for key, value in _unfit(part):
-            wrong = True
-            yield key, value, f"expected {part.number}"
+    for breach in (*incomplete(scene), *_out_of_range(scene)):
+        wrong = True
+        yield breach
     if wrong:
         return
     as_array = lambda x: (jnp if _is_traced(x) else np).asarray(x)
-    known = jax.tree.map(as_array, scene, is_leaf=is_list)
-    for prefix, owner in (("rod", known), ("rod.section", known.section)):
-        with np.errstate(over="ignore"):
-            relations = list(relations_of(owner))
-        for name, holds, expected in relations:
-            if not _is_traced(holds) and not np.all(holds):
-                yield f"{prefix}.{name}", np.asarray(getattr(owner, name)).tolist(), expected()
+    known = map_numbers(as_array, scene)
+    if scene.segments is not None:
+        known = eqx.tree_at(lambda s: s.length, known, total_length(known.segments))
+    with np.errstate(over="ignore"):
+        rules = list(rules_of(known))
+    for key, value, holds, expected in rules:
+        if not _is_traced(holds) and not np.all(holds):
+            wrong = True
+            yield key, np.asarray(value).tolist(), expected()
     if scene.chambers is not None:
         areas, offsets = (len(x) for x in (known.chambers.areas, known.chambers.offsets))
         if areas != offsets:
+            wrong = True
             yield "chambers", f"{areas} areas and {offsets} offsets", "expected one of each"
+    if not wrong:
+        yield from _outside(known)
 
 
-def parts_of(module: eqx.Module, prefix: str) -> list[_Part]:
+def _out_of_range(scene: Scene) -> Iterator[tuple[str, Any, str]]:
+    for part in parts_of(scene):
+        if scene.segments is not None and part.key == "rod.length":
+            continue  # those of the segments are what is given
+        for key, value in _unfit(part):
+            yield key, value, f"expected {part.number}"
+
+
+def _outside(scene: Scene) -> list[tuple[str, Any, str]]:
+    """Actuators that leave the sections, where all that decides it is known."""
+    if scene.tendons is None and scene.chambers is None:
+        return []
+    shapes = (scene.length, scene.section, scene.section_at_end)
+    if scene.segments is not None:
+        shapes = [(x.length, x.section, x.section_at_end) for x in scene.segments]
+    if _is_traced((shapes, scene.tendons, scene.chambers)):
+        return []
+    # Sections and paths may compute with JAX, under `jit` as well.
+    with jax.ensure_compile_time_eval():
+        return list(outside_sections(scene))
+
+
+def rules_of(scene: Scene) -> Iterator[Rule]:
+    """All that must hold between the numbers of a scene, which may be traced."""
+    for prefix, owner in _owners(scene, "rod"):
+        if hasattr(type(owner), "relations"):
+            for name, holds, expected in owner.relations():
+                yield Rule(f"{prefix}.{name}", getattr(owner, name), holds, expected)
+    yield from arc_lengths(scene)
+
+
+def parts_of(module: eqx.Module, prefix: str = "rod") -> list[_Part]:
     """All numbers, in the order of `jax.tree.leaves`."""
-    parts, ranges = [], numbers_of(type(module))
-    for field in dataclasses.fields(module):
-        value = getattr(module, field.name)
-        if value is None or field.metadata.get("static", False):
-            continue
-        within = "rod.section" if field.name == "section" else field.name
-        key = f"{prefix}.{field.name}"
+    parts = []
+    for key, number, value in _fields(module, prefix):
         if isinstance(value, eqx.Module):
-            parts += parts_of(value, within)
-        elif field.name in ranges:
-            parts.append(_Part(key, ranges[field.name], value))
+            parts += parts_of(value, key)
+        else:
+            parts.append(_Part(key, number, value))
+    return parts
+
+
+def _owners(module: eqx.Module, prefix: str) -> Iterator[tuple[str, eqx.Module]]:
+    """The module and all modules in it, by their keys in a scene file."""
+    yield prefix, module
+    for key, _, value in _fields(module, prefix):
+        if isinstance(value, eqx.Module):
+            yield from _owners(value, key)
+
+
+# Tables of a scene file that are within that of the rod.
+_OF_THE_ROD = ("section", "section_at_end", "stiffness")
+
+
+def _fields(module: eqx.Module, prefix: str) -> Iterator[tuple[str, Number, Any]]:
+    """Each number and each module in a module, with its key in a scene file."""
+    # Equinox takes its time to give an attribute.
+    ranges, values, whole = numbers_of(type(module)), vars(module), isinstance(module, Scene)
+    for name in fields_of(type(module)):
+        value = values[name]
+        if value is None:
+            continue
+        number = ranges.get(name, ANY)
+        within = whole and name not in _OF_THE_ROD and name not in ranges
+        key = name if within else f"{prefix}.{name}"
+        if number.each or _is_row(value):
+            for i, item in enumerate(value):
+                one = f"{prefix}[{i}].{name.removesuffix('s')}"
+                if item is not None:
+                    yield f"{name}[{i}]" if within else one, number, item
+        elif isinstance(value, eqx.Module) or name in ranges:
+            yield key, number, value
         else:
             # Of an actuator or a section that is not one of this package.
-            parts += [_Part(key, ANY, x) for x in jax.tree.leaves(value)]
-    return parts
+            for leaf in jax.tree.leaves(value):
+                yield key, ANY, leaf
+
+
+def _is_row(value) -> bool:
+    """Whether it holds a module for each of several."""
+    return isinstance(value, tuple | list) and any(isinstance(x, eqx.Module) for x in value)
 
 
 def _unfit(part: _Part) -> Iterator[tuple[str, Any]]:
@@ -137,7 +207,3 @@ def _unfit(part: _Part) -> Iterator[tuple[str, Any]]:
 def _is_traced(value) -> bool:
     """Unlike `is_traced`, of a number that is given and not of what is made with it."""
     return any(isinstance(x, jax.core.Tracer) for x in jax.tree.leaves(value))
-
-
-def relations_of(owner):
-    return owner.relations() if hasattr(owner, "relations") else ()

@@ -87,25 +87,42 @@ def _parts(scene: Scene) -> list[_Part]:
     vector, turn = ((normal,), named((normal,))), (turns, named(turns))
     # Of a quaternion (w, x, y, z).
     quaternion = (tuple(i + 1 for i in turns), named(turns))
-    load, tendons, chambers = scene.tip_load, scene.tendons, scene.chambers
+    load, chambers = scene.tip_load, scene.chambers
+    rests = [("rod", scene)] + [(f"segments[{i}]", x) for i, x in enumerate(scene.segments or ())]
+    loads = [("tip_load", load)] if load is not None else []
+    loads += [(f"loads[{i}]", x) for i, x in enumerate(scene.loads or ())]
     parts = [
         ("rod.gravity", scene.gravity, *vector),
-        ("rod.rest_stretch", scene.rest_stretch, *vector),
-        ("rod.rest_curvature", scene.rest_curvature, *turn),
+        *((f"{key}.rest_stretch", x.rest_stretch, *vector) for key, x in rests),
+        *((f"{key}.rest_curvature", x.rest_curvature, *turn) for key, x in rests),
         ("rod.base_quaternion", scene.base_quaternion, *quaternion),
-        ("tip_load.force", None if load is None else load.force, *vector),
-        ("tip_load.moment", None if load is None else load.moment, *turn),
-        ("tendons", None if tendons is None else _routes(tendons, scene.length), *vector),
+        *((f"{key}.force", x.force, *vector) for key, x in loads),
+        *((f"{key}.moment", x.moment, *turn) for key, x in loads),
+        *((key, value, *vector) for key, value in _routes(scene)),
         ("chambers", None if chambers is None else chambers.offsets, *vector),
     ]
     return [_Part(*part) for part in parts if part[1] is not None]
 
 
-def _routes(tendons, length):
-    """Where the tendons run in the section; of those that vary along the rod, at many points."""
-    if type(tendons) is Tendons:
-        return tendons.offsets
-    return tendons.routing(length * jnp.linspace(0.0, 1.0, 33))[0]
+def _routes(scene: Scene):
+    """Where the tendons run in the section; those that vary along the rod, at many points."""
+    tendons, x = scene.tendons, jnp.linspace(0.0, 1.0, 33)
+    if tendons is None:
+        return
+    if type(tendons) is not Tendons:
+        yield "tendons", tendons.routing(scene.length * x)[0]
+    elif tendons.paths is None:
+        yield "tendons", tendons.offsets
+    else:
+        for i, path in enumerate(tendons.paths):
+            start, end = tendons.part(i, scene.length)
+            if path is None:
+                yield f"tendons[{i}].offset", tendons.offsets[i]
+            else:
+                yield (
+                    f"tendons[{i}].path",
+                    tendons.place(i, start + (end - start) * x, scene.length),
+                )
 
 
 def _off_plane(part: _Part, module) -> Bool[Array, "*rows"]:
@@ -127,29 +144,35 @@ def fits_plane(scene: Scene) -> Bool[Array, ""]:
 def misfits(scene: Scene) -> Iterator[tuple[str, object, str]]:
     """What contradicts the scene's restrictions, where numbers are known: key, value, remedy."""
     if scene.inextensible:
-        for name in ("shear_damping", "shear_correction"):
-            value = getattr(scene, name)
-            if value is not None:
-                shown = value if isinstance(value, jax.core.Tracer) else np.asarray(value).tolist()
-                yield (
-                    f"rod.{name}",
-                    shown,
-                    (
-                        "an inextensible rod does not stretch or shear; "
-                        f"leave {name} out, or inextensible"
-                    ),
-                )
+        yield from _without_meaning(scene)
     if scene.plane is None:
         return
     for part in _parts(scene):
         if isinstance(part.value, jax.core.Tracer):
             continue
         value = np.asarray(part.value)
-        for row in np.atleast_1d(np.argwhere(_off_plane(part._replace(value=value), np))):
-            is_list = value.ndim > 1
+        rows = np.atleast_1d(np.argwhere(_off_plane(part._replace(value=value), np)))
+        of_each = value.ndim > 1 and not part.key.endswith(".path")
+        for row in rows if of_each else rows[:1]:
             yield (
-                f"{part.key}[{row[-1]}].offset" if is_list else part.key,
+                f"{part.key}[{row[-1]}].offset" if of_each else part.key,
                 value[tuple(row)].tolist(),
                 f'not in the plane "{scene.plane}" of the scene; expected 0 for {part.names}, '
                 "or no plane",
             )
+
+
+def _without_meaning(scene: Scene) -> Iterator[tuple[str, object, str]]:
+    """What an inextensible rod has no use for."""
+    owners = [("rod", scene)] + [(f"segments[{i}]", x) for i, x in enumerate(scene.segments or ())]
+    for key, owner in owners:
+        for name in ("shear_damping", "shear_correction"):
+            value = getattr(owner, name)
+            if value is not None:
+                shown = value if isinstance(value, jax.core.Tracer) else np.asarray(value).tolist()
+                yield (
+                    f"{key}.{name}",
+                    shown,
+                    f"an inextensible rod does not stretch or shear; leave {name} out, "
+                    "or inextensible",
+                )

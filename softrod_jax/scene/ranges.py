@@ -5,10 +5,12 @@ Each class of the scene says it of its fields, where they are declared. Scene fi
 """
 
 import dataclasses
+import functools
 import math
 from typing import Any
 
 import equinox as eqx
+import jax.numpy as jnp
 
 
 @dataclasses.dataclass(frozen=True)
@@ -57,6 +59,13 @@ class Number:
         fits = module.isfinite(value) & (value > self.above) & (value >= self.at_least)
         return fits & (value < self.below)
 
+    def stand_in(self, shape: tuple[int, ...]):
+        """What stands in for a value of this shape that cannot be."""
+        harmless = jnp.asarray(self.harmless, dtype=float)
+        if self.rows:
+            return jnp.linspace(harmless[0], harmless[-1], shape[0])
+        return jnp.broadcast_to(harmless, shape)
+
     def has_shape(self, shape: tuple[int, ...]) -> bool:
         """Whether an array of this shape can be such a value, or rows of them."""
         if self.per_actuator or self.rows:
@@ -87,15 +96,34 @@ def number(
         keywords["default"] = None
     if default is not _MISSING:
         keywords["default"] = default
+    if range_.get("each"):
+        converter = one_for_each
     if converter is not None:
         keywords["converter"] = converter
     return eqx.field(**keywords)
 
 
+def one_for_each(values):
+    """A tuple with a value for each actuator; `None` where there is a value for none."""
+    try:
+        values = None if values is None else tuple(values)
+    except TypeError:  # one number for all, which the class refuses by its name
+        return values
+    return None if values is None or all(x is None for x in values) else values
+
+
+@functools.cache
 def numbers_of(kind: type) -> dict[str, Number]:
     """The ranges that a class of the scene declares, by the names of its fields."""
     fields = dataclasses.fields(kind)
     return {f.name: f.metadata["number"] for f in fields if "number" in f.metadata}
+
+
+@functools.cache
+def fields_of(kind: type) -> tuple[str, ...]:
+    """The names of the fields of a class of the scene that are part of its pytree."""
+    fields = dataclasses.fields(kind)
+    return tuple(f.name for f in fields if not f.metadata.get("static", False))
 
 
 def is_required(kind: type, name: str) -> bool:

@@ -15,7 +15,7 @@ from jaxtyping import Array, Float
 from softrod_jax.scene.acting import AbstractDistributedLoad, AbstractEnergy
 from softrod_jax.scene.chambers import Chambers
 from softrod_jax.scene.loads import DEAD_LOAD, Load, Marker, Mass, Payload, TipLoad
-from softrod_jax.scene.ranges import number
+from softrod_jax.scene.ranges import number, numbers_of
 from softrod_jax.scene.sections import Section
 from softrod_jax.scene.segments import DAMPING, Segment, Stiffness
 from softrod_jax.scene.tendons import Tendons
@@ -160,9 +160,12 @@ SHARED = (
 )
 
 
-def total_length(segments: tuple[Segment, ...]) -> Scalar:
-    """The sum of their lengths [m]."""
-    return sum(segment.length for segment in segments)
+def total_length(segments: tuple[Segment, ...]) -> Scalar | None:
+    """The sum of their lengths [m]; `None` where one is no number, which `checks.py` refuses."""
+    try:
+        return sum(segment.length for segment in segments)
+    except TypeError:
+        return None
 
 
 def as_arrays(scene: Scene) -> Scene:
@@ -170,15 +173,31 @@ def as_arrays(scene: Scene) -> Scene:
 
     Lists of numbers become arrays, too.
     """
-    arrays = jax.tree.map(lambda x: jnp.asarray(x, dtype=float), scene, is_leaf=is_list)
-    return with_total_length(arrays)
+    return with_total_length(map_numbers(lambda x: jnp.asarray(x, dtype=float), scene))
 
 
 def with_total_length(scene: Scene) -> Scene:
-    """The scene whose length is the sum of its segments', whatever became of them."""
+    """The scene with the length that its segments have, which may have been replaced."""
     if scene.segments is None:
         return scene
-    return eqx.tree_at(lambda x: x.length, scene, total_length(scene.segments))
+    length = jnp.asarray(total_length(scene.segments), dtype=float)
+    return eqx.tree_at(lambda s: s.length, scene, length)
+
+
+def map_numbers(function, module: eqx.Module):
+    """The scene, or a part of it, with `function` of every number or list of numbers in it."""
+    each = {id(values) for values in _of_each(module)}
+    return jax.tree.map(function, module, is_leaf=lambda x: is_list(x) and id(x) not in each)
+
+
+def _of_each(module: eqx.Module):
+    """The tuples that hold a number for each actuator, which are no lists of numbers."""
+    ranges = numbers_of(type(module))
+    for name, value in vars(module).items():
+        if isinstance(value, eqx.Module):
+            yield from _of_each(value)
+        elif value is not None and name in ranges and ranges[name].each:
+            yield value
 
 
 def is_list(x) -> bool:

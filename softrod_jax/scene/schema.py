@@ -12,11 +12,12 @@ from typing import Any
 import numpy as np
 
 from softrod_jax.scene.chambers import Chambers
-from softrod_jax.scene.loads import Payload, TipLoad
+from softrod_jax.scene.loads import FRAMES, Load, Marker, Mass, Payload, TipLoad
 from softrod_jax.scene.ranges import Number, is_required, numbers_of
 from softrod_jax.scene.scene import PLANES, Scene
 from softrod_jax.scene.sections import Annulus, Circle, GeneralSection, Rectangle
-from softrod_jax.scene.tendons import Tendons
+from softrod_jax.scene.segments import Segment, Stiffness
+from softrod_jax.scene.tendons import GUIDES, Helix, Line, Points, Tendons
 
 
 class SceneError(ValueError):
@@ -38,8 +39,7 @@ class Numbers:
 
         Raises `SceneError`.
         """
-        size, items = (len(value), value) if isinstance(value, list) else (0, [value])
-        if size not in self.number.sizes or not all(_is_number(x) for x in items):
+        if not self._has_shape(value):
             raise SceneError(complaint(where, value, f"expected {self}"))
         try:
             array = np.array(value, dtype=np.float64)
@@ -50,6 +50,16 @@ class Numbers:
         if self.number.zero_is_absent and not np.any(array):
             return None
         return array
+
+    def _has_shape(self, value: Any) -> bool:
+        rows = value if self.number.rows else [value]
+        if not isinstance(rows, list) or len(rows) < self.number.rows:
+            return False
+        for row in rows:
+            size, items = (len(row), row) if isinstance(row, list) else (0, [row])
+            if size not in self.number.sizes or not all(_is_number(x) for x in items):
+                return False
+        return True
 
 
 @dataclass(frozen=True)
@@ -95,6 +105,33 @@ class Word:
 
 
 @dataclass(frozen=True)
+class Text:
+    """A name."""
+
+    required: bool = False
+
+    def __str__(self) -> str:
+        return "a word in quotes"
+
+    def read(self, value: Any, where: str) -> str:
+        if not isinstance(value, str):
+            raise SceneError(complaint(where, value, f"expected {self}"))
+        return value
+
+
+@dataclass(frozen=True)
+class Count:
+    """A whole number from 1."""
+
+    required: bool = False
+
+    def read(self, value: Any, where: str) -> int:
+        if not isinstance(value, int) or isinstance(value, bool) or value < 1:
+            raise SceneError(complaint(where, value, "expected a whole number, at least 1"))
+        return value
+
+
+@dataclass(frozen=True)
 class Flag:
     """Whether something is so."""
 
@@ -106,7 +143,7 @@ class Flag:
         return value
 
 
-Schema = dict[str, Numbers | Table | Tables | Word | Flag]
+Schema = dict[str, Numbers | Table | Tables | Word | Text | Count | Flag]
 
 
 def _numbers_of(kind: type) -> Schema:
@@ -119,17 +156,27 @@ def _numbers_of(kind: type) -> Schema:
     }
 
 
+# Fields whose names in Python are other than those in a file: `from` is a word of the language.
+PATH_KEYS = {"begin": "from", "end": "to"}
+
 SCENE: Schema = {
     "rod": Table(required=True),
+    "segments": Tables(),
     "tendons": Tables(),
     "chambers": Tables(),
     "payload": Table(),
     "tip_load": Table(),
+    "loads": Tables(),
+    "masses": Tables(),
+    "markers": Tables(),
 }
 
+# A length and a section, or segments instead: that is checked with the scene as a whole.
 ROD: Schema = {
-    "section": Table(required=True),
+    "section": Table(),
+    "section_at_end": Table(),
     **_numbers_of(Scene),
+    "stiffness": Table(),
     "inextensible": Flag(),
     "plane": Word(PLANES),
 }
@@ -145,7 +192,34 @@ SECTIONS: dict[str, tuple[type, Schema]] = {
 }
 SHAPE = Word(tuple(SECTIONS), required=True)
 
-TENDON, CHAMBER = _numbers_of(Tendons), _numbers_of(Chambers)
+SEGMENT: Schema = {
+    "section": Table(required=True),
+    "section_at_end": Table(),
+    **_numbers_of(Segment),
+    "stiffness": Table(),
+    "intervals": Count(),
+}
+STIFFNESS = _numbers_of(Stiffness)
+
+# A tendon has an offset or a path: that is checked when it is read.
+TENDON: Schema = {
+    "offset": Numbers(numbers_of(Tendons)["offsets"]),
+    "path": Table(),
+    "starts_at": Numbers(numbers_of(Tendons)["starts_at"]),
+    "ends_at": Numbers(numbers_of(Tendons)["ends_at"]),
+    "guided": Word(GUIDES),
+}
+# The keys of a path, and which fields of its class they are where that is not the same.
+PATHS: dict[str, tuple[type, Schema]] = {
+    "helix": (Helix, _numbers_of(Helix)),
+    "line": (Line, {PATH_KEYS.get(k, k): v for k, v in _numbers_of(Line).items()}),
+    "points": (Points, _numbers_of(Points)),
+}
+PATH_SHAPE = Word(tuple(PATHS), required=True)
+CHAMBER = _numbers_of(Chambers)
+LOAD: Schema = {**_numbers_of(Load), "frame": Word(FRAMES)}
+MASS = _numbers_of(Mass)
+MARKER: Schema = {"name": Text(required=True), **_numbers_of(Marker)}
 PAYLOAD, TIP_LOAD = _numbers_of(Payload), _numbers_of(TipLoad)
 
 
@@ -174,7 +248,9 @@ def read_table(table: dict, schema: Schema, where: str) -> dict:
 
 
 def complaint(where: str, value: Any, allowed: str) -> str:
-    """One line: where, the value as it stands, and what is allowed."""
+    """One line: where, the value as it stands (`None`: it is missing), and what is allowed."""
+    if value is None:
+        return f"{shortened(where, 200)} is missing: {allowed}"
     return f"{shortened(where, 200)} = {shortened(_shown(value), 80)}: {allowed}"
 
 

@@ -13,6 +13,8 @@ What numbers a section can have it says where they are declared, and in `relatio
 between them.
 """
 
+import math
+
 import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
@@ -40,7 +42,7 @@ class Circle(eqx.Module):
         return jnp.pi * self.radius**4 / 2
 
     def contains(self, offset):
-        return jnp.hypot(offset[..., 0], offset[..., 1]) <= self.radius
+        return _distance(offset) <= self.radius
 
 
 class Annulus(eqx.Module):
@@ -69,7 +71,7 @@ class Annulus(eqx.Module):
 
     def contains(self, offset):
         # The bore counts as inside: a chamber or a tendon may run through it.
-        return jnp.hypot(offset[..., 0], offset[..., 1]) <= self.outer_radius
+        return _distance(offset) <= self.outer_radius
 
 
 class Rectangle(eqx.Module):
@@ -100,9 +102,13 @@ class Rectangle(eqx.Module):
         return a * b**3 * (1 / 3 - 64 / jnp.pi**5 * (b / a) * series)
 
     def contains(self, offset):
-        return (jnp.abs(offset[..., 0]) <= self.width / 2) & (
-            jnp.abs(offset[..., 1]) <= self.height / 2
-        )
+        x, y = abs(offset[..., 0]), abs(offset[..., 1])
+        return (x <= self.width / 2) & (y <= self.height / 2)
+
+
+def _distance(offset):
+    """From the axis, of arrays of numpy and of JAX alike; squares would overflow."""
+    return abs(offset[..., 0] + 1j * offset[..., 1])
 
 
 _ZETA_5 = 1.036927755143369926  # Riemann zeta(5): sum over odd n of n^-5 is 31/32 of it
@@ -117,7 +123,7 @@ class GeneralSection(eqx.Module):
 
     def contains(self, offset):
         # The outline is unknown: the radius of gyration bounds nothing, so accept.
-        return jnp.ones(offset.shape[:-1], dtype=bool)
+        return abs(offset[..., 0]) < math.inf
 
 
 Section = Circle | Annulus | Rectangle | GeneralSection

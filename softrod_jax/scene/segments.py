@@ -1,6 +1,7 @@
 """Segments: parts of the rod with a section, a material and a shape of their own."""
 
 import equinox as eqx
+import jax
 from jaxtyping import Array, Float
 
 from softrod_jax.scene.ranges import number
@@ -62,8 +63,19 @@ class Segment(eqx.Module):
         ):
             raise ValueError(f"Segment: intervals={count!r}; a whole number from 1 is needed")
 
+    def section_at(self, x):
+        """The section at the part `x` of its length, or at several; dimensions change linearly."""
+        return section_between(self.section, self.section_at_end, x)
+
     def relations(self):
         """What must hold besides the ranges: a field, whether it does, and what is expected."""
         v = self.rest_stretch
         if v is not None:
             yield "rest_stretch", v[2] > 0, lambda: "the third number, along the rod, is above 0"
+
+
+def section_between(section: Section, at_end: Section | None, x):
+    """The section at the part `x` of the way to where it is `at_end`."""
+    if at_end is None:
+        return section
+    return jax.tree.map(lambda a, b: (1 - x) * a + x * b, section, at_end)

@@ -12,7 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from softrod_jax.scene.ranges import number
+from softrod_jax.scene.ranges import number, one_for_each
 
 Scalar = Float[Array, ""]
 
@@ -109,6 +109,12 @@ def _spline_slopes(x: Float[Array, "n"], y: Float[Array, "n 2"]) -> Float[Array,
     return jnp.linalg.solve(A, b)
 
 
+def _guides(guided):
+    """One word where all are guided by the same."""
+    words = (guided,) if isinstance(guided, str) else tuple(guided)
+    return words[0] if words and all(word == words[0] for word in words) else words
+
+
 class Tendons(eqx.Module):
     """Frictionless tendons.
 
@@ -123,10 +129,10 @@ class Tendons(eqx.Module):
     offsets: Float[Array, "tendons 2"] = number(
         "m", sizes=(2,), per_actuator=True, harmless=0.01, converter=jnp.asarray
     )
-    paths: tuple[AbstractPath | None, ...] | None = None
+    paths: tuple[AbstractPath | None, ...] | None = eqx.field(default=None, converter=one_for_each)
     starts_at: Each | None = number("m", each=True, at_least=0)
     ends_at: Each | None = number("m", each=True, above=0, harmless=1.0)
-    guided: str | tuple[str, ...] = eqx.field(static=True, default="rod")
+    guided: str | tuple[str, ...] = eqx.field(static=True, default="rod", converter=_guides)
 
     def __check_init__(self):
         for name in ("paths", "starts_at", "ends_at"):
@@ -135,6 +141,9 @@ class Tendons(eqx.Module):
             if way not in GUIDES:
                 raise ValueError(f'Tendons: guided={way!r} is not offered; use "rod" or "disks"')
         check_each("Tendons", "guided", self.guides, self.count, "tendon")
+        for path in self.paths or ():
+            if not (path is None or isinstance(path, AbstractPath)):
+                raise ValueError(f"Tendons: a path {path!r}; use Helix, Line, Points or None")
 
     @property
     def count(self) -> int:
@@ -148,6 +157,16 @@ class Tendons(eqx.Module):
     def part(self, i: int, length) -> tuple[Scalar, Scalar]:
         """Where tendon `i` of a rod of this `length` begins and ends [m]."""
         return part_of(self, i, length)
+
+    def path(self, i: int) -> AbstractPath | None:
+        """The path of tendon `i`, or `None` if it is parallel to the rod."""
+        return None if self.paths is None else self.paths[i]
+
+    def place(self, i: int, s: Float[Array, "n"], length) -> Float[Array, "n 2"]:
+        """x and y [m] of tendon `i` at arc lengths `s` [m] of a rod of this `length`."""
+        path, ends = self.path(i), self.part(i, length)
+        at = jnp.zeros(2) if path is None else jax.vmap(lambda s: path.place(s, *ends))(s)
+        return jnp.broadcast_to(self.offsets[i] + at, (s.shape[0], 2))
 
     def routing(self, s, length=None):
         """Tendon positions r_i [m] and slopes r_i,s [-] in the section at arc length `s`.
@@ -184,5 +203,9 @@ def part_of(actuators, i: int, length):
 
 def check_each(who: str, name: str, values, count: int, of: str):
     """Raises `ValueError` unless there is one of `values` for each of `count`, or none at all."""
-    if values is not None and len(values) != count:
+    if values is None:
+        return
+    if not isinstance(values, tuple) and not hasattr(values, "__len__"):
+        raise ValueError(f"{who}: {name}={values!r}; expected {count} of them, one for each {of}")
+    if len(values) != count:
         raise ValueError(f"{who}: {len(values)} of {name}; expected {count}, one for each {of}")

@@ -1,0 +1,133 @@
+"""A scene as the text of its file."""
+
+from typing import Any
+
+import numpy as np
+
+from softrod_jax.scene import schema
+from softrod_jax.scene.scene import Scene
+from softrod_jax.scene.schema import SceneError
+from softrod_jax.scene.tendons import Tendons
+
+_SECTIONS = {kind: shape for shape, (kind, _) in schema.SECTIONS.items()}
+_PATHS = {kind: shape for shape, (kind, _) in schema.PATHS.items()}
+
+
+def document_of(scene: Scene, file: str) -> dict:
+    """The scene as the nested dictionary that its file would parse to.
+
+    Raises `SceneError`, which begins with `file`, for what has no form in a file.
+    """
+    document: dict[str, Any] = {"rod": _shaped(scene, schema.ROD, f"{file} rod")}
+    # Static, and so at hand as they are; one that restricts nothing is left out.
+    document["rod"] |= {
+        key: getattr(scene, key) for key in ("inextensible", "plane") if getattr(scene, key)
+    }
+    if scene.segments is not None:
+        document["rod"].pop("length")
+        document["segments"] = [
+            _shaped(x, schema.SEGMENT, f"{file} segments[{i}]")
+            | ({} if x.intervals is None else {"intervals": x.intervals})
+            for i, x in enumerate(scene.segments)
+        ]
+    if scene.tendons is not None:
+        document["tendons"] = _tendons(scene.tendons, file)
+    if scene.chambers is not None:
+        pairs = zip(_plain(scene.chambers.areas), _plain(scene.chambers.offsets), strict=True)
+        document["chambers"] = [
+            {"area": a, "offset": x, **_ends(scene.chambers, i)} for i, (a, x) in enumerate(pairs)
+        ]
+    if scene.payload is not None:
+        document["payload"] = _values(scene.payload, schema.PAYLOAD)
+    if scene.tip_load is not None:
+        document["tip_load"] = _values(scene.tip_load, schema.TIP_LOAD)
+    for name, keys in (("loads", schema.LOAD), ("masses", schema.MASS), ("markers", schema.MARKER)):
+        if getattr(scene, name) is not None:
+            document[name] = [_values(x, keys) for x in getattr(scene, name)]
+    for table, load in zip(document.get("loads", []), scene.loads or (), strict=True):
+        if load.force is None and load.moment is None:
+            table["force"] = [0.0, 0.0, 0.0]
+        if load.frame != "base":
+            table["frame"] = load.frame
+    for i, marker in enumerate(scene.markers or ()):
+        document["markers"][i] = {"name": marker.name, **document["markers"][i]}
+    return document
+
+
+def _shaped(owner, keys: schema.Schema, where: str) -> dict:
+    """The rod or a segment: its numbers, its sections and its stiffness."""
+    table = _values(owner, keys)
+    for name in ("section", "section_at_end"):
+        section = getattr(owner, name)
+        if section is not None:
+            table[name] = _with_shape(section, _SECTIONS, schema.SECTIONS, f"{where}.{name}")
+    if owner.stiffness is not None:
+        table["stiffness"] = _values(owner.stiffness, schema.STIFFNESS)
+    return table
+
+
+def _with_shape(part, shapes: dict, kinds: dict, where: str) -> dict:
+    """A section or a path, of which there are several classes."""
+    if type(part) not in shapes:
+        raise SceneError(f"{where}: a {type(part).__name__} has no form in a scene file")
+    shape = shapes[type(part)]
+    return {"shape": shape, **_values(part, kinds[shape][1])}
+
+
+def _tendons(tendons, file: str) -> list[dict]:
+    if type(tendons) is not Tendons:
+        name = type(tendons).__name__
+        raise SceneError(f"{file} tendons: {name} have no form in a scene file, only Tendons have")
+    tables = []
+    for i, offset in enumerate(_plain(tendons.offsets)):
+        path, table = tendons.path(i), {}
+        if path is None or any(offset):
+            table["offset"] = offset
+        if path is not None:
+            table["path"] = _with_shape(path, _PATHS, schema.PATHS, f"{file} tendons[{i}].path")
+        table |= _ends(tendons, i)
+        if tendons.guides[i] != "rod":
+            table["guided"] = tendons.guides[i]
+        tables.append(table)
+    return tables
+
+
+def _ends(actuators, i: int) -> dict:
+    given = {name: getattr(actuators, name) for name in ("starts_at", "ends_at")}
+    return {k: _plain(x[i]) for k, x in given.items() if x is not None and x[i] is not None}
+
+
+def _values(part, keys: schema.Schema) -> dict:
+    """The numbers of a part of the scene under their keys."""
+    fields = {key: field for field, key in schema.PATH_KEYS.items()}
+    numbers = {k: fields.get(k, k) for k, kind in keys.items() if isinstance(kind, schema.Numbers)}
+    return {k: _plain(getattr(part, f)) for k, f in numbers.items() if getattr(part, f) is not None}
+
+
+def _plain(x):
+    return np.asarray(x, dtype=np.float64).tolist()
+
+
+def toml(document: dict) -> str:
+    """The text of a document of tables, with tables in them written inline."""
+    lines = []
+    for name, content in document.items():
+        header, tables = (
+            (f"[[{name}]]", content) if isinstance(content, list) else (f"[{name}]", [content])
+        )
+        for table in tables:
+            lines += [header, *(f"{k} = {_toml_value(v)}" for k, v in table.items()), ""]
+    return "\n".join(lines)
+
+
+def _toml_value(value) -> str:
+    match value:
+        case bool():
+            return str(value).lower()
+        case str():
+            return f'"{value}"'
+        case dict():
+            return "{ " + ", ".join(f"{k} = {_toml_value(v)}" for k, v in value.items()) + " }"
+        case list():
+            return "[" + ", ".join(_toml_value(v) for v in value) + "]"
+    return repr(value)  # the shortest decimal that reads back as the same float64
