@@ -9,9 +9,8 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
 from softrod_jax.rod.constants import make_rod
-from softrod_jax.scene.checks import parts_of, rules_of
-from softrod_jax.scene.planes import fits_plane
-from softrod_jax.scene.scene import Scene, with_total_length
+from softrod_jax.scene.checks import can_be, harmless_unless
+from softrod_jax.scene.scene import Scene
 
 
 def usable(scene: Scene, good=True, tensions=None, pressures=None) -> tuple[Scene, Bool[Array, ""]]:
@@ -20,25 +19,14 @@ def usable(scene: Scene, good=True, tensions=None, pressures=None) -> tuple[Scen
     `good`: whether all other inputs can be. `tensions` and `pressures`: constant ones. A rod whose
     stiffness or mass overflows, or is lost in rounding, cannot be either.
     """
-    parts, good = parts_of(scene), jnp.asarray(good)
-    for part in parts:
-        good &= jnp.all(part.number.fits(part.value, jnp))
-    for rule in rules_of(scene):
-        good &= jnp.all(rule.holds)
-    if scene.plane is not None:
-        good &= fits_plane(scene)
+    good = jnp.asarray(good) & can_be(scene)
     rod = make_rod(scene, tensions, pressures)
     for x in jax.tree.leaves(rod):
         good &= jnp.all(jnp.isfinite(x))
     # The size of forces tells of lengths whose square is none.
     for x in (rod.K_se, rod.K_bt, rod.K_bt / rod.L**2, rod.rho_A, rod.rho_J):
         good &= True if x is None else jnp.all((x > 0) & (x < jnp.inf))
-    leaves, structure = jax.tree.flatten(scene)
-    leaves = [
-        jnp.where(good, x, part.number.stand_in(jnp.shape(x)))
-        for x, part in zip(leaves, parts, strict=True)
-    ]
-    return with_total_length(jax.tree.unflatten(structure, leaves)), good
+    return harmless_unless(good, scene), good
 
 
 def usable_in_time(scene: Scene, dt) -> tuple[Scene, Float[Array, ""], Bool[Array, ""]]:

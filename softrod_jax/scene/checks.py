@@ -13,13 +13,14 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Array, Bool
 
 from softrod_jax.foundation.tracing import is_traced
 from softrod_jax.scene.completeness import incomplete
 from softrod_jax.scene.placement import Rule, arc_lengths, outside_sections
-from softrod_jax.scene.planes import misfits
+from softrod_jax.scene.planes import fits_plane, misfits
 from softrod_jax.scene.ranges import ANY, Number, fields_of, numbers_of
-from softrod_jax.scene.scene import Scene, as_arrays, map_numbers, total_length
+from softrod_jax.scene.scene import Scene, as_arrays, map_numbers, total_length, with_total_length
 
 
 class _Part(NamedTuple):
@@ -124,6 +125,26 @@ def rules_of(scene: Scene) -> Iterator[Rule]:
             for name, holds, expected in owner.relations():
                 yield Rule(f"{prefix}.{name}", getattr(owner, name), holds, expected)
     yield from arc_lengths(scene)
+
+
+def can_be(scene: Scene) -> Bool[Array, ""]:
+    """Whether all numbers of a scene of arrays can be, as far as a program that runs asks that."""
+    good = jnp.array(True)
+    for part in parts_of(scene):
+        good &= jnp.all(part.number.fits(part.value, jnp))
+    for rule in rules_of(scene):
+        good &= jnp.all(rule.holds)
+    return good if scene.plane is None else good & fits_plane(scene)
+
+
+def harmless_unless(good: Bool[Array, ""], scene: Scene) -> Scene:
+    """The scene of arrays or, where it is not good, one of the same structure that can be."""
+    leaves, structure = jax.tree.flatten(scene)
+    leaves = [
+        jnp.where(good, x, part.number.stand_in(jnp.shape(x)))
+        for x, part in zip(leaves, parts_of(scene), strict=True)
+    ]
+    return with_total_length(jax.tree.unflatten(structure, leaves))
 
 
 def parts_of(module: eqx.Module, prefix: str = "rod") -> list[_Part]:

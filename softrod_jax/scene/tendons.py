@@ -164,7 +164,8 @@ class Tendons(eqx.Module):
 
     def place(self, i: int, s: Float[Array, "n"], length) -> Float[Array, "n 2"]:
         """x and y [m] of tendon `i` at arc lengths `s` [m] of a rod of this `length`."""
-        path, ends = self.path(i), self.part(i, length)
+        # A path computes with JAX, also where its numbers are numpy's.
+        path, ends = jax.tree.map(jnp.asarray, self.path(i)), self.part(i, length)
         at = jnp.zeros(2) if path is None else jax.vmap(lambda s: path.place(s, *ends))(s)
         return jnp.broadcast_to(self.offsets[i] + at, (s.shape[0], 2))
 
