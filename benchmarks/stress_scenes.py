@@ -97,7 +97,8 @@ def random_actuation(draw, kind, r, L, EI, EA, area):
     tensions = part * most * draw.rng.dirichlet(np.ones(3) * 0.5)
     pressures = np.array([draw.maybe(0.5, draw.log(1e-3, 0.1)) * EA / (0.1 * area)])
     chambers = sr.Chambers(np.array([0.1 * area]), draw.offsets(1, 0.0, 0.2 * r))
-    return {"tendons": sr.Tendons(offsets), "chambers": chambers}, tensions, pressures, part
+    tendons = sr.Tendons(offsets, guided="disks")  # a flat section may not hold them
+    return {"tendons": tendons, "chambers": chambers}, tensions, pressures, part
 
 
 def random_equilibrium(rng):

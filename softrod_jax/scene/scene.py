@@ -15,6 +15,7 @@ from jaxtyping import Array, Float
 from softrod_jax.scene.acting import AbstractDistributedLoad, AbstractEnergy
 from softrod_jax.scene.chambers import Chambers
 from softrod_jax.scene.loads import DEAD_LOAD, Load, Marker, Mass, Payload, TipLoad
+from softrod_jax.scene.printing import described
 from softrod_jax.scene.ranges import number, numbers_of
 from softrod_jax.scene.sections import Section
 from softrod_jax.scene.segments import DAMPING, Segment, Stiffness
@@ -109,6 +110,9 @@ class Scene(eqx.Module):
             raise ValueError(f'Scene: plane={self.plane!r} is not offered; use "xz", "yz" or None')
         if self.segments == ():
             raise ValueError("Scene: segments=(); give at least one, or leave segments out")
+
+    def __repr__(self):
+        return described(self)
 
     def relations(self):
         """What must hold besides the ranges: a field, whether it does, and what is expected."""
