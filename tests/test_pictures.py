@@ -58,7 +58,7 @@ def film(path, scene=None, trajectory=None, **options):
 
 
 def test_between_the_nodes_the_line_is_the_rod():
-    line = line_along(arc(u=20.0), LENGTH, points=49)
+    line = line_along(arc(u=20.0), np.linspace(0, LENGTH, 49))
     p, turn = arc_at(np.linspace(0, LENGTH, 49), 20.0)
     angle = turn[:, 1]
     np.testing.assert_allclose(line.p, p, rtol=0, atol=1e-6 * LENGTH)
@@ -68,8 +68,8 @@ def test_between_the_nodes_the_line_is_the_rod():
 
 
 def test_a_motion_is_its_shapes():
-    together = line_along(motion(), LENGTH, points=9)
-    alone = line_along(arc(20.0), LENGTH, points=9)
+    places = np.linspace(0, LENGTH, 9)
+    together, alone = line_along(motion(), places), line_along(arc(20.0), places)
     assert together.p.shape == (5, 9, 3) and together.R.shape == (5, 9, 3, 3)
     np.testing.assert_allclose(together.p[-1], alone.p, rtol=0, atol=1e-15)
 
@@ -77,13 +77,13 @@ def test_a_motion_is_its_shapes():
 def test_parts_lie_where_the_scene_has_them():
     scene = sr.hybrid_robot(LENGTH)
     body = body_of(scene, 49)
-    line = line_along(arc(20.0), LENGTH, 49)
-    inner = placed(line, body.tendons[0])  # 4 mm off, towards the inside of the bend
+    line = line_along(arc(20.0), body.arc)
+    inner = placed(line, body.tendons[0].points)  # 4 mm off, towards the inside of the bend
     centre = np.array([STRETCH / 20.0, 0, 0])
     radius = np.linalg.norm(inner - centre, axis=1)
     np.testing.assert_allclose(radius, STRETCH / 20.0 - 4e-3, rtol=0, atol=1e-6)
-    for outline, size in ((body.outline, 6e-3), (body.chambers[0], 1.5e-3)):
-        away = placed(line, outline) - line.p[:, None]
+    for outline, size in ((body.outlines[0], 6e-3), (body.chambers[0], 1.5e-3)):
+        away = placed(line, outline.points) - line.p[:, None]
         np.testing.assert_allclose(np.linalg.norm(away, axis=2), size, rtol=1e-4)
         along = line.R[:, :, 2]
         assert np.abs(np.einsum("sci,si->sc", away, along)).max() < 1e-4 * size
@@ -100,10 +100,10 @@ def test_parts_lie_where_the_scene_has_them():
 )
 def test_outlines_of_sections(section, corners, bore):
     body = body_of(dataclasses.replace(sr.hybrid_robot(), section=section), 3)
-    np.testing.assert_allclose(np.linalg.norm(body.outline, axis=1), corners)
-    assert (body.bore is None) == (bore is None)
+    np.testing.assert_allclose(np.linalg.norm(body.outlines[0].points, axis=-1), corners)
+    assert (not body.bores) == (bore is None)
     if bore is not None:
-        np.testing.assert_allclose(np.linalg.norm(body.bore, axis=1), bore)
+        np.testing.assert_allclose(np.linalg.norm(body.bores[0].points, axis=-1), bore)
 
 
 def on_screen(axes):

@@ -90,7 +90,7 @@ def _shown(ts, speed, fps) -> np.ndarray:
 
 def _frames(scene, trajectory, tensions, pressures, shown, speed, view, size, measured):
     body = body_of(scene, POINTS)
-    lines = line_along(trajectory, float(scene.length), POINTS)
+    lines = line_along(trajectory, body.arc)
     ts = np.asarray(trajectory.ts)
     pull = _course(tensions, len(ts), len(body.tendons))
     air = _course(pressures, len(ts), len(body.chambers))

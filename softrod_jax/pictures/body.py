@@ -13,90 +13,201 @@ import numpy as np
 from softrod_jax.rod.rotations import rotation_matrix
 from softrod_jax.scene.scene import Scene
 from softrod_jax.scene.sections import Annulus, Circle, Rectangle
+from softrod_jax.scene.tendons import Tendons
 
 _CORNERS = 24  # of a circle
+_DISKS = 9  # along a rod
+
+
+class Part(NamedTuple):
+    """What is along a part of the rod: `where` among the places, and points of the section.
+
+    `points`: a line, (places, 3), or an outline, (corners, 2) or (places, corners, 2).
+    """
+
+    where: slice
+    points: np.ndarray
 
 
 class Body(NamedTuple):
     """A scene's parts in the frame of the section [m].
 
-    - `arc`, (points,): where along the rod they are drawn.
-    - `outline`, (corners, 2), of the section, and `bore`, that of its hole, or `None`.
-    - `tendons`, (tendons, points, 3).
-    - `chambers`: the outline of each, (corners, 2).
+    - `arc`, (places,): where along the rod they are drawn. Two places are the same where one
+      segment ends and the next begins.
+    - `outlines` of the segments, and `bores`, of the holes in them.
+    - `tendons`, and `ends`: where they begin and end inside the rod.
+    - `disks`: thin plates that guide tendons outside the sections. `chambers`.
     """
 
     arc: np.ndarray
-    outline: np.ndarray
-    bore: np.ndarray | None
-    tendons: np.ndarray
-    chambers: list[np.ndarray]
+    outlines: list[Part]
+    bores: list[Part]
+    tendons: list[Part]
+    ends: list[Part]
+    disks: list[Part]
+    chambers: list[Part]
 
     @property
     def radius(self) -> float:
-        """Of the circle about the axis that holds the section [m]."""
-        return float(np.linalg.norm(self.outline, axis=1).max())
+        """That of the circle about the axis that holds all sections [m]."""
+        return max(float(np.linalg.norm(x.points, axis=-1).max()) for x in self.outlines)
+
+    @property
+    def reach(self) -> float:
+        """That of the circle about the axis that holds tendons and disks, too [m]."""
+        away = [np.linalg.norm(x.points, axis=-1).max() for x in (*self.tendons, *self.disks)]
+        return max([self.radius, *map(float, away)])
+
+    def index(self, s) -> int:
+        """The place that is nearest to arc length `s` [m]."""
+        return int(np.argmin(np.abs(self.arc - float(s))))
 
 
 class Line(NamedTuple):
-    """The axis of the rod at `points` along it: `p`, (*batch, points, 3) [m], and `R`."""
+    """The axis of the rod at places along it: `p`, (*batch, places, 3) [m], and `R`."""
 
     p: np.ndarray
     R: np.ndarray
 
+    def part(self, where: slice) -> "Line":
+        return Line(self.p[..., where, :], self.R[..., where, :, :])
+
 
 def body_of(scene: Scene, points: int) -> Body:
-    """The parts of `scene` at `points` places, evenly along the rod."""
-    length = float(scene.length)
-    arc = np.linspace(0.0, length, points)
-    outline, bore = _section(scene.section)
-    tendons = np.zeros((0, points, 3))
+    """The parts of `scene` at `points` places or some more, about evenly along the rod."""
+    arc, pieces = _places(scene, points)
+    outlines, bores = [], []
+    for where, segment in pieces:
+        rings = [_section(section) for section in _sections(segment, arc[where])]
+        outlines.append(Part(where, np.stack([outline for outline, _ in rings])))
+        if rings[0][1] is not None or rings[-1][1] is not None:
+            empty = np.zeros((_CORNERS, 2))
+            bores.append(Part(where, np.stack([empty if b is None else b for _, b in rings])))
+    tendons, chambers, length = [], [], float(scene.length)
     if scene.tendons is not None:
-        paths = jax.vmap(lambda s: scene.tendons.routing(s)[0])(jnp.asarray(arc))
-        tendons = np.asarray(paths).swapaxes(0, 1)
-    chambers = []
+        paths = np.asarray(jax.vmap(lambda s: _route(scene, s))(jnp.asarray(arc)))
+        for i in range(scene.tendons.count):
+            where = _where(arc, scene.tendons.part(i, scene.length))
+            tendons.append(Part(where, paths[where, i]))
     if scene.chambers is not None:
         # Only the area is known: drawn round.
         radii = np.sqrt(np.asarray(scene.chambers.areas) / np.pi)
         centres = np.asarray(scene.chambers.offsets)
-        chambers = [c + _ellipse(r, r) for c, r in zip(centres, radii, strict=True)]
-    return Body(arc, outline, bore, tendons, chambers)
+        for i, (centre, radius) in enumerate(zip(centres, radii, strict=True)):
+            where = _where(arc, scene.chambers.part(i, scene.length))
+            chambers.append(Part(where, centre + _ellipse(radius, radius)))
+    ends = [
+        Part(slice(k, k + 1), tendon.points[j : j + 1])
+        for tendon in tendons
+        for k, j in ((tendon.where.start, 0), (tendon.where.stop - 1, -1 + len(tendon.points)))
+        if 1e-9 * length < arc[k] < (1 - 1e-9) * length
+    ]
+    return Body(arc, outlines, bores, tendons, ends, _disks(scene, tendons), chambers)
 
 
-def line_along(shape, length: float, points: int) -> Line:
-    """The axis at `points` places, from `positions`, `quaternions` and `strains` of `shape`.
+def _places(scene: Scene, points: int):
+    """Arc lengths, and for each segment which of them it has. What is somewhere has its own."""
+    lengths = [float(segment.length) for segment in scene.parts]
+    edges = np.concatenate([[0.0], np.cumsum(lengths)])
+    own = [x.at for x in (*(scene.loads or ()), *(scene.masses or ()), *(scene.markers or ()))]
+    for actuators in (scene.tendons, scene.chambers):
+        if actuators is not None:
+            ends = (*(actuators.starts_at or ()), *(actuators.ends_at or ()))
+            own += [x for x in ends if x is not None]
+    own = np.array([float(x) for x in own])
+    arcs, pieces, first = [], [], 0
+    for segment, low, high in zip(scene.parts, edges[:-1], edges[1:], strict=True):
+        count = max(
+            round((points - 1) * (high - low) / edges[-1]) + 1, 3 if len(lengths) > 1 else 2
+        )
+        inside = own[(own > low) & (own < high)]
+        arc = np.union1d(np.linspace(low, high, count), inside)
+        arcs.append(arc)
+        pieces.append((slice(first, first + len(arc)), segment))
+        first += len(arc)
+    return np.concatenate(arcs), pieces
 
-    These are (*batch, nodes, 3), (*batch, nodes, 4) and (*batch, nodes, 6), at even nodes, as in
-    a `StaticSolution` or a `Trajectory`.
+
+def _sections(segment, arc):
+    """The sections of a segment at its places."""
+    x = (arc - arc[0]) / (arc[-1] - arc[0])
+    if segment.section_at_end is None:
+        return [segment.section] * len(arc)
+    return [segment.section_at(part) for part in x]
+
+
+def _route(scene: Scene, s):
+    """Where the tendons are at arc length `s`, (tendons, 3)."""
+    if type(scene.tendons) is Tendons:
+        return scene.tendons.routing(s, scene.length)[0]
+    return scene.tendons.routing(s)[0]
+
+
+def _where(arc, part) -> slice:
+    """The places between two arc lengths."""
+    low, high = (float(x) for x in part)
+    rounding = 1e-9 * arc[-1]
+    inside = np.flatnonzero((arc >= low - rounding) & (arc <= high + rounding))
+    return slice(int(inside[0]), int(inside[-1]) + 1)
+
+
+def _disks(scene: Scene, tendons: list[Part]) -> list[Part]:
+    """Plates that hold the tendons which disks guide, evenly along them."""
+    if scene.tendons is None:
+        return []
+    guided = [x for x, way in zip(tendons, scene.tendons.guides, strict=True) if way == "disks"]
+    if not guided:
+        return []
+    start, stop = min(x.where.start for x in guided), max(x.where.stop for x in guided)
+    disks = []
+    for k in np.unique(np.linspace(start, stop - 1, _DISKS).round().astype(int)):
+        here = [x for x in guided if x.where.start <= k < x.where.stop]
+        away = [np.linalg.norm(x.points[k - x.where.start, :2]) for x in here]
+        radius = 1.1 * max(away, default=0.0)
+        if radius > 0:
+            disks.append(Part(slice(k, k + 1), _ellipse(radius, radius)))
+    return disks
+
+
+def line_along(shape, arc: np.ndarray) -> Line:
+    """The axis at arc lengths `arc`, (places,), of what has `positions` and the like.
+
+    `positions`, `quaternions` and `strains` of `shape` are (*batch, nodes, 3), (.., 4) and (.., 6),
+    as in a `StaticSolution` or a `Trajectory`, at its `arc_lengths`; at even nodes without them.
     """
     p, strains = np.asarray(shape.positions), np.asarray(shape.strains)
+    nodes = getattr(shape, "arc_lengths", None)
+    if nodes is None:
+        nodes = np.linspace(0.0, arc[-1], p.shape[-2])
+    nodes = np.reshape(np.asarray(nodes), (-1, p.shape[-2]))[0]
     R = np.asarray(jax.jit(rotation_matrix)(jnp.asarray(shape.quaternions)))
     v, u = strains[..., :3, None], strains[..., 3:]
     hat = np.stack([np.cross(u, e) for e in np.eye(3)], axis=-1)
-    p = _cubic(p, (R @ v)[..., 0], length, points)
+    p = _cubic(p, (R @ v)[..., 0], nodes, arc)
     flat = lambda matrices: matrices.reshape(*matrices.shape[:-2], 9)
     # Not quite rotations between the nodes; nobody sees a fourth order.
-    R = _cubic(flat(R), flat(R @ hat), length, points)
+    R = _cubic(flat(R), flat(R @ hat), nodes, arc)
     return Line(p, R.reshape(*R.shape[:-1], 3, 3))
 
 
 def placed(line: Line, section_points: np.ndarray) -> np.ndarray:
-    """Points of the section, (points, 3), or an outline, (corners, 2), in the base frame [m].
+    """Points of the section in the base frame [m].
 
-    (points, 3) for the former, (points, corners, 3) for the latter.
+    Of a line, (places, 3), the same. Of an outline, (corners, 2) or (places, corners, 2), they are
+    (places, corners, 3).
     """
     if section_points.shape[-1] == 3:
         return line.p + np.einsum("sij,sj->si", line.R, section_points)
-    return line.p[:, None] + np.einsum("sij,cj->sci", line.R[..., :2], section_points)
+    outlines = np.broadcast_to(section_points, (len(line.p), *section_points.shape[-2:]))
+    return line.p[:, None] + np.einsum("sij,scj->sci", line.R[..., :2], outlines)
 
 
-def _cubic(y, y_s, length, points) -> np.ndarray:
-    """Hermite's cubic between even nodes, from values and slopes (*batch, nodes, n)."""
-    intervals = y.shape[-2] - 1
-    h = length / intervals
-    x = np.linspace(0.0, intervals, points)
-    k = np.minimum(x.astype(int), intervals - 1)
-    t = (x - k)[:, None]
+def _cubic(y, y_s, nodes, arc) -> np.ndarray:
+    """Hermite's cubic between nodes, from values and slopes (*batch, nodes, n)."""
+    # Where something jumps there are two nodes, with nothing between them.
+    k = np.clip(np.searchsorted(nodes, arc, side="right") - 1, 0, len(nodes) - 2)
+    h = (nodes[k + 1] - nodes[k])[:, None]
+    t = (arc - nodes[k])[:, None] / np.where(h > 0, h, 1.0)
     left, right = y[..., k, :], y[..., k + 1, :]
     return (
         left * (1 + 2 * t) * (1 - t) ** 2

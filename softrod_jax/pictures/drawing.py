@@ -6,7 +6,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 from mpl_toolkits.mplot3d.art3d import Line3DCollection, Poly3DCollection
 
-from softrod_jax.pictures.body import Body, Line, body_of, line_along, placed
+from softrod_jax.pictures.body import Body, Line, Part, body_of, line_along, placed
 from softrod_jax.scene.scene import Scene
 
 # Places along the rod at which it is drawn.
@@ -14,6 +14,7 @@ POINTS = 49
 TENDON_COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9")
 CHAMBER_COLOUR, MEASURED_COLOUR = "#7b3fa0", "#b00020"
 _BODY, _CLAMP, _PAYLOAD, _FORCE = "#c9a98b", "#6b6f75", "#3a3d42", "#b00020"
+_DISK, _MARKER = "#55585e", "#1b4d3e"
 # A line of a tendon is so wide when slack, and so much wider at the largest tension [points].
 _SLACK, _TAUT = 1.0, 2.2
 # Of a chamber, without pressure and at the largest one.
@@ -38,11 +39,12 @@ def rod_axes(
     - `place`: where in the figure, as in `Figure.add_subplot`. `view`: elevation and azimuth [deg].
     """
     body = body_of(scene, POINTS)
-    line = line_along(shapes, float(scene.length), POINTS)
-    points = np.concatenate([line.p, line.p[..., -1:, :] + _arrow(scene)], axis=-2).reshape(-1, 3)
+    line = line_along(shapes, body.arc)
+    heads = [at + arrow for at, arrow in _arrows(scene, body, line)]
+    points = np.concatenate([x.reshape(-1, 3) for x in (line.p, *heads)])
     if not np.all(np.isfinite(points)):
         raise ValueError("rod_axes: the shapes have positions that are not finite")
-    margin = 1.4 * body.radius
+    margin = 1.4 * body.reach
     low, high = points.min(axis=0) - margin, points.max(axis=0) + margin
     # No face of the box is a sliver.
     room = np.maximum(0.55 * np.max(high - low) - (high - low), 0)
@@ -90,15 +92,17 @@ def draw_rod(
       and a chamber the darker, up to `largest_tension` and `largest_pressure`.
     - `strength`: below 1 the rod is drawn fainter. `clamp`: whether to draw that, too.
 
-    The body has the true size of the section; of a `GeneralSection`, whose outline is unknown,
-    it is the ellipse with the same radii of gyration. Chambers are drawn round.
+    The body has the true size of the sections; of a `GeneralSection`, whose outline is unknown,
+    it is the ellipse with the same radii of gyration. Chambers are drawn round. A dot is where a
+    tendon begins or ends inside the rod, a thin circle a disk that guides tendons.
     """
     if np.ndim(shape.positions) != 2:
         raise ValueError(
             f"draw_rod: positions of shape {np.shape(shape.positions)}, expected (nodes, 3): "
             "draw one sample of a batch, or one time of a motion"
         )
-    body, line = body_of(scene, POINTS), line_along(shape, float(scene.length), POINTS)
+    body = body_of(scene, POINTS)
+    line = line_along(shape, body.arc)
     return draw_line(
         axes,
         scene,
@@ -132,33 +136,65 @@ def draw_line(
     if clamp:
         for grid in _plate(line, body.radius):
             add(_surface(size * grid, _CLAMP, 0.9, 1))
-    for outline, share in zip(body.chambers, air, strict=True):
-        surface(placed(line, outline), CHAMBER_COLOUR, _EMPTY + share * (_FULL - _EMPTY), 3)
-    if body.bore is not None:
-        surface(placed(line, body.bore), _BODY, 0.3, 3)
-    for i, (path, share) in enumerate(zip(body.tendons, pull, strict=True)):
-        curve = size * placed(line, path)
+    at = lambda part: placed(line.part(part.where), part.points)
+    for chamber, share in zip(body.chambers, air, strict=True):
+        surface(at(chamber), CHAMBER_COLOUR, _EMPTY + share * (_FULL - _EMPTY), 3)
+    for bore in body.bores:
+        surface(at(bore), _BODY, 0.3, 3)
+    for i, (tendon, share) in enumerate(zip(body.tendons, pull, strict=True)):
         colour = TENDON_COLOURS[i % len(TENDON_COLOURS)]
         width = (_SLACK + _TAUT * share) * strength
-        add(Line3DCollection([curve], colors=[colour], linewidths=width, zorder=4))
-    surface(placed(line, body.outline), _BODY, 0.25, 5)
-    surface(_cap(line, body), _BODY, 0.25, 5)
+        add(Line3DCollection([size * at(tendon)], colors=[colour], linewidths=width, zorder=4))
+    if body.disks:
+        rings = [np.concatenate([ring, ring[:1]]) for ring in (size * at(x)[0] for x in body.disks)]
+        add(Line3DCollection(rings, colors=_DISK, linewidths=0.8 * strength, zorder=4))
+    for outline in body.outlines:
+        surface(at(outline), _BODY, 0.25, 5)
+        surface(_cap(line, outline, body.bores), _BODY, 0.25, 5)
     if scene.payload is not None:
         surface(_ball(line.p[-1], 0.8 * body.radius), _PAYLOAD, 0.95, 6)
-    arrow = size * _arrow(scene)
-    if np.any(arrow):
-        tip = size * line.p[-1]
-        order = 7 + 10 * layer
-        drawn.append(axes.quiver(*tip, *arrow, color=_FORCE, lw=1.5 * strength, zorder=order))
+    for mass in scene.masses or ():
+        surface(_ball(line.p[body.index(mass.at)], 0.6 * body.radius), _PAYLOAD, 0.95, 6)
+    order = 7 + 10 * layer
+    for foot, arrow in _arrows(scene, body, line):
+        foot, arrow = size * foot, size * arrow
+        drawn.append(axes.quiver(*foot, *arrow, color=_FORCE, lw=1.5 * strength, zorder=order))
+    drawn += _dots(axes, scene, body, line, size, strength, order)
     return drawn
 
 
-def _arrow(scene) -> np.ndarray:
-    """The force at the tip as it is drawn, a quarter of the rod long [m]; zero for none."""
-    if scene.tip_load is None or scene.tip_load.force is None or not np.any(scene.tip_load.force):
-        return np.zeros(3)
-    force = np.asarray(scene.tip_load.force)
-    return 0.25 * float(scene.length) * force / np.linalg.norm(force)
+def _dots(axes, scene, body: Body, line: Line, size: float, strength: float, order: int) -> list:
+    """Where tendons begin and end inside the rod, and markers with their names."""
+    style = {"linestyle": "none", "alpha": strength, "zorder": order}
+    drawn = []
+    if body.ends:
+        ends = size * np.concatenate([placed(line.part(x.where), x.points) for x in body.ends])
+        drawn += axes.plot(*ends.T, marker="o", ms=3, color="black", **style)
+    for marker in scene.markers or ():
+        k = body.index(marker.at)
+        offset = np.zeros(3) if marker.offset is None else np.asarray(marker.offset)
+        place = size * (line.p[k] + line.R[k] @ offset)
+        drawn += axes.plot(*place[:, None], marker="D", ms=3.5, color=_MARKER, **style)
+        # Names once, also where a motion is drawn as many shapes.
+        if strength == 1.0:
+            text = f" {marker.name}"
+            drawn.append(axes.text(*place, text, fontsize=7, color=_MARKER, zorder=order))
+    return drawn
+
+
+def _arrows(scene, body: Body, line: Line) -> list[tuple[np.ndarray, np.ndarray]]:
+    """Forces as they are drawn, a quarter of the rod long: where, and what, (*batch, 3) [m]."""
+    arrows = []
+    tip = [] if scene.tip_load is None else [(scene.tip_load.force, scene.length, "base")]
+    for force, s, frame in (*tip, *((x.force, x.at, x.frame) for x in scene.loads or ())):
+        if force is None or not np.any(force):
+            continue
+        k = body.index(s)
+        arrow = 0.25 * float(scene.length) * np.asarray(force) / np.linalg.norm(force)
+        if frame == "body":
+            arrow = line.R[..., k, :, :] @ arrow
+        arrows.append((line.p[..., k, :], np.broadcast_to(arrow, line.p[..., k, :].shape)))
+    return arrows
 
 
 def unit_of(scene) -> tuple[float, str]:
@@ -204,11 +240,13 @@ def _surface(grid, colour, alpha, order) -> Poly3DCollection:
     )
 
 
-def _cap(line: Line, body: Body):
-    """The end of the body: rings from its outline to its bore, or to the axis."""
-    end = Line(line.p[-1:], line.R[-1:])
-    inner = body.bore if body.bore is not None else 1e-3 * body.outline
-    return np.concatenate([placed(end, body.outline), placed(end, inner)])
+def _cap(line: Line, outline: Part, bores: list[Part]):
+    """The end of a segment: rings from its outline to its bore, or to the axis."""
+    last = outline.where.stop - 1
+    end = line.part(slice(last, last + 1))
+    inner = [bore.points[-1] for bore in bores if bore.where == outline.where]
+    ring = outline.points[-1]
+    return np.concatenate([placed(end, ring), placed(end, inner[0] if inner else 1e-3 * ring)])
 
 
 def _plate(line: Line, radius: float):

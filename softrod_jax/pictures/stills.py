@@ -80,7 +80,7 @@ def draw_stills(
     `axes`: of `rod_axes`. `measured_tip` [m], (times, 3): dots, where it is known.
     """
     body = body_of(scene, POINTS)
-    lines = line_along(trajectory, float(scene.length), POINTS)
+    lines = line_along(trajectory, body.arc)
     shown = np.unique(np.linspace(0, len(trajectory.ts) - 1, count).round().astype(int))
     half = [np.full(len(part), 0.5) for part in (body.tendons, body.chambers)]
     for n, k in enumerate(shown):

@@ -20,7 +20,7 @@ _USUAL = {"guided": "rod", "frame": "base", "inextensible": False}
 # Tables beside that of the rod.
 _OTHERS = (
     *("segments", "tendons", "chambers", "payload", "tip_load"),
-    *("loads", "masses", "markers"),
+    *("loads", "masses", "markers", "energies", "distributed_loads"),
 )
 
 
@@ -33,7 +33,8 @@ def described(scene: eqx.Module) -> str:
         if part is None:
             continue
         if isinstance(part, tuple | list):
-            lines += _counted(name, [_inline(x) for x in part])
+            own = name in ("energies", "distributed_loads")
+            lines += _counted(name, [_value(x, ANY) if own else _inline(x) for x in part])
         elif _has_rows(part):
             lines += _counted(name, [_row(part, i) for i in range(part.count)])
         else:
@@ -43,8 +44,9 @@ def described(scene: eqx.Module) -> str:
 
 def _counted(name: str, texts: list[str]) -> list[str]:
     """A heading with how many there are, and a line for each of the first."""
-    singular = {"masses": "mass"}.get(name, name.removesuffix("s"))
-    lines = [f"  {len(texts)} {singular if len(texts) == 1 else name}"]
+    singular = {"masses": "mass", "energies": "energy"}.get(name, name.removesuffix("s"))
+    counted = singular if len(texts) == 1 else name
+    lines = [f"  {len(texts)} {counted.replace('_', ' ')}"]
     shown = texts if len(texts) <= _MOST_PARTS else texts[: _MOST_PARTS - 1]
     lines += [f"    {i}: {text}" for i, text in enumerate(shown)]
     if len(shown) < len(texts):
