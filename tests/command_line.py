@@ -48,10 +48,14 @@ def asked(monkeypatch):
             "error": np.array(1e-6),
         }
         method = options.get("method", sr.Collocation())
+        tip = SimpleNamespace(
+            position=np.array([0.0, 0.0, 0.1]), quaternion=np.array([1.0, 0.0, 0.0, 0.0])
+        )
         return SimpleNamespace(
             result=np.array(asked.static_result),
-            tip_position=np.array([0.0, 0.0, 0.1]),
-            tip_quaternion=np.array([1.0, 0.0, 0.0, 0.0]),
+            tip_position=tip.position,
+            tip_quaternion=tip.quaternion,
+            markers={"tip": tip},
             stats=stats,
             method=method,
         )

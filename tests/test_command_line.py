@@ -34,6 +34,7 @@ def test_solve(capsys):
         "result",
         "tip_position",
         "tip_quaternion",
+        "markers",
         "stable",
         "error",
         "intervals",
@@ -48,6 +49,8 @@ def test_solve(capsys):
     )
     assert np.allclose(content["tip_position"], tip, rtol=0, atol=1e-10)
     assert np.allclose(content["tip_quaternion"], turn, rtol=0, atol=1e-10)
+    seen = {"position": content["tip_position"], "quaternion": content["tip_quaternion"]}
+    assert content["markers"] == {"tip": seen}
     assert content["stable"] is True and 0 <= content["error"] < 1e-6
 
 

@@ -52,7 +52,9 @@ def add_arguments(parser) -> None:
         action="store_true",
         help="start from the equilibrium under the first inputs, not from the straight rod",
     )
-    parser.add_argument("--out", metavar="FILE.csv", help="write the motion, as a log")
+    parser.add_argument(
+        "--out", metavar="FILE.csv", help="write the motion of tip and markers, as a log"
+    )
     parser.add_argument("--json", action="store_true", help="the whole motion as JSON on stdout")
     add_grid(
         parser,
@@ -140,7 +142,11 @@ def run(args) -> int:
     if not succeeded:
         tips[failed_step + 1 :] = np.nan  # the last iterates of a failed step are no motion
     if args.out is not None:
-        _write(args.out, scene, np.asarray(traj.ts), tensions, pressures, tips)
+        names = [marker.name for marker in scene.markers or ()]
+        tracks = {name: np.array(traj.markers[name].positions) for name in names}
+        for track in tracks.values():
+            track[np.isnan(tips).any(axis=1)] = np.nan
+        _write(args.out, scene, np.asarray(traj.ts), tensions, pressures, tips, tracks)
     rows = [None if np.isnan(tip).any() else tip.tolist() for tip in tips]
     error = float(traj.stats["time_error"][-1])
     if succeeded and error > _LARGE_ERROR:
@@ -230,7 +236,7 @@ def _row(inputs, index):
     return None if inputs is None else inputs[index]
 
 
-def _write(path, scene, ts, tensions, pressures, tips) -> None:
+def _write(path, scene, ts, tensions, pressures, tips, tracks) -> None:
     """The motion with the columns of a log of this scene: actuators not used are at zero."""
     import numpy as np
 
@@ -240,7 +246,7 @@ def _write(path, scene, ts, tensions, pressures, tips) -> None:
         tensions = np.zeros((len(ts), scene.tendons.count))
     if pressures is None and scene.chambers is not None:
         pressures = np.zeros((len(ts), scene.chambers.count))
-    write_log(path, ts, tensions, pressures, tips)
+    write_log(path, ts, tensions, pressures, tips, tracks)
 
 
 def _report(args, result, ts, tips, steps, failed_step, error) -> int:

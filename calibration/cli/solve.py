@@ -1,6 +1,6 @@
-"""One static equilibrium: the pose of the tip under tensions and pressures.
+"""One static equilibrium: the pose of the tip, and of markers, under tensions and pressures.
 
-Exit status 0 only if the solve converged; otherwise 1, with the reason and null for the tip.
+Exit status 0 only if the solve converged; otherwise 1, with the reason and null for all poses.
 """
 
 from calibration.cli.common import (
@@ -37,12 +37,14 @@ def run(args) -> int:
     tensions, pressures = actuation(args, scene)
     sol = sr.solve_static(scene, tensions, pressures, throw=False, **grid(args))
     succeeded = int(sol.result) == 0
+    names = ["tip", *(marker.name for marker in scene.markers or ())]
     stable = bool(sol.stats["stable"])
     print_json(
         {
             "result": reason(sol.result),
             "tip_position": sol.tip_position.tolist() if succeeded else None,
             "tip_quaternion": sol.tip_quaternion.tolist() if succeeded else None,
+            "markers": {name: _pose(sol.markers[name], succeeded) for name in names},
             "stable": stable if succeeded else None,
             "error": float(sol.stats["error"]),
             "intervals": sol.method.intervals,
@@ -53,3 +55,8 @@ def run(args) -> int:
     if succeeded and not stable:
         note(UNSTABLE)
     return 0 if succeeded else 1
+
+
+def _pose(pose, known: bool) -> dict:
+    values = {"position": pose.position, "quaternion": pose.quaternion}
+    return {name: value.tolist() if known else None for name, value in values.items()}

@@ -1,6 +1,7 @@
 """The log format of this project: a CSV with SI units in the names of its columns."""
 
 import csv
+import re
 from array import array
 from dataclasses import replace
 from os import PathLike
@@ -23,7 +24,8 @@ def read_log(path: str | PathLike, scene=None, *, need_tip: bool = True) -> Reco
 
     Columns, in this order: t_s, tau1_N, tau2_N, .. (a tension per tendon), p1_Pa, .. (a
     pressure per chamber), tip_x_m, tip_y_m, tip_z_m. An empty cell, `nan` or `NA` is a missing
-    coordinate of the tip; time and inputs must be complete. Rows in messages are lines of the
+    coordinate of the tip; time and inputs must be complete. Places of the scene's markers may
+    follow, NAME_x_m, NAME_y_m, NAME_z_m, and are left unread. Rows in messages are lines of the
     file, the header being row 1.
     """
     header, tendons, chambers, values, lines = _table(path, scene, need_tip)
@@ -82,7 +84,8 @@ def _table(path, scene, need_tip):
             row, line = [cell.strip() for cell in row], reader.line_num
             if header is None:
                 header = row
-                tendons, chambers = _check_header(header, path, scene, need_tip, encoding)
+                known = len(header) - _marker_columns(header, scene)
+                tendons, chambers = _check_header(header[:known], path, scene, need_tip, encoding)
                 continue
             if len(row) != len(header):
                 raise RecordingError(
@@ -100,7 +103,21 @@ def _table(path, scene, need_tip):
         )
     if not numbers:
         raise RecordingError(f"{path}: a header and no rows: nothing was recorded")
-    return header, tendons, chambers, np.array(values).reshape(len(numbers), len(header)), numbers
+    table = np.array(values).reshape(len(numbers), len(header))
+    return header[:known], tendons, chambers, table[:, :known], numbers
+
+
+def _marker_columns(header: list[str], scene) -> int:
+    """How many columns at the end are places of markers of the scene, which are not used."""
+    if scene is None:
+        ends = [re.fullmatch(r"([A-Za-z]\w*)_z_m", name) for name in header]
+        names = [end[1] for end in ends if end and end[1] != "tip"]
+    else:
+        names = [marker.name for marker in scene.markers or ()]
+    count, triples = 0, {tuple(f"{name}_{axis}_m" for axis in "xyz") for name in names}
+    while tuple(header[len(header) - count - 3 : len(header) - count]) in triples:
+        count += 3
+    return count
 
 
 def _check_header(header, path, scene, need_tip, encoding) -> tuple[int, int]:

@@ -98,12 +98,18 @@ class Recording:
 
 
 def write_log(
-    path: str | PathLike, times, tensions=None, pressures=None, tip_positions=None
+    path: str | PathLike,
+    times,
+    tensions=None,
+    pressures=None,
+    tip_positions=None,
+    markers: dict | None = None,
 ) -> None:
     """Write a CSV log that `read_log` reads back bit by bit.
 
     `times` [s] (T,), `tensions` [N] (T, tendons), `pressures` [Pa] (T, chambers) and
     `tip_positions` [m] (T, 3), NaN where missing; columns of what is `None` are left out.
+    `markers` [m]: by name, (T, 3) each.
     Raises `OSError` if the file cannot be written, which then stays as it was.
     """
     header, columns = ["t_s"], [np.reshape(times, (-1, 1))]
@@ -116,6 +122,9 @@ def write_log(
     if tip_positions is not None:
         header += TIP_COLUMNS
         columns.append(tip_positions)
+    for name, positions in (markers or {}).items():
+        header += [f"{name}_{axis}_m" for axis in "xyz"]
+        columns.append(positions)
     table = np.hstack([np.asarray(c, dtype=np.float64) for c in columns]).tolist()
     with whole_file(path, newline="", encoding="utf-8") as file:
         writer = csv.writer(file, lineterminator="\n")

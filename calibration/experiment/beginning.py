@@ -14,6 +14,7 @@ import softrod_jax as sr
 from calibration.data.frames import straight_tip
 from calibration.data.onset import start_position, white_noise
 from calibration.data.recording import Recording
+from calibration.experiment.bulk import bulk
 from calibration.experiment.setup import rotated
 
 # A tip this part of the length from the straight rod's may be the straight one's, seen by a marker
@@ -72,9 +73,8 @@ def _linear_deflection(scene: sr.Scene, recording: Recording) -> Float[np.ndarra
     """Of the tip [m] under all loads and the first inputs, by linear beam theory, in the base
     frame."""
     L = float(scene.length)
-    A = float(scene.section.area)
-    EI = float(scene.young_modulus) * np.asarray(scene.section.second_moments)
-    EA = float(scene.young_modulus) * A
+    rod = bulk(scene)
+    EI, EA = np.asarray(rod.EI), float(rod.EA)
     h = None if scene.base_quaternion is None else np.asarray(scene.base_quaternion)
 
     def seen(vector, turn):
@@ -84,7 +84,7 @@ def _linear_deflection(scene: sr.Scene, recording: Recording) -> Float[np.ndarra
         return np.asarray(vector if own is None else rotated(own, vector))
 
     gravity = seen(scene.gravity, -1)
-    weight = float(scene.density) * A * L * gravity
+    weight = float(rod.mass) * gravity
     mass = 0.0 if scene.payload is None else float(scene.payload.mass)
     tip = mass * gravity
     moment = np.zeros(2)  # that bends towards x and y

@@ -14,6 +14,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 import softrod_jax as sr
+from calibration.experiment.bulk import bulk
 from calibration.experiment.setup import rotated
 
 # Distance of the tendon from the axis, in lengths of the rod: far, so that it hardly compresses
@@ -36,7 +37,7 @@ def held(
     size = jnp.sqrt(jnp.sum(across**2) + 1e-12)
     L = scene.length
     # M L^2 / 2 = rho A g L^4 / 8 + m g L^3 / 3: the tip stays where it is.
-    moment = scene.density * scene.section.area * size * L**2 / 4
+    moment = bulk(scene).mass * size * L / 4
     if scene.payload is not None:
         moment = moment + 2 / 3 * scene.payload.mass * size * L
     offset = _OFFSET * L

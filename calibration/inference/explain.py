@@ -16,6 +16,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from calibration.data.recording import Recording
+from calibration.experiment.bulk import bulk
 from calibration.experiment.setup import Setup
 from calibration.parameters.catalogue import catalogue
 from calibration.parameters.scales import Factor
@@ -196,9 +197,10 @@ def _loss_law(problem: Problem, x, dampings: list[float]) -> str:
 
 def _frequency(scene) -> float:
     """At which a cantilever with a weight at its tip rings [Hz], by its first bending mode."""
-    L, mass = float(scene.length), 0.2427 * float(scene.density * scene.section.area)
-    mass = mass * L + (0.0 if scene.payload is None else float(scene.payload.mass))
-    stiffness = 3 * float(scene.young_modulus) * float(np.min(scene.section.second_moments)) / L**3
+    rod = bulk(scene)
+    mass = 0.2427 * float(rod.mass)
+    mass += 0.0 if scene.payload is None else float(scene.payload.mass)
+    stiffness = 3 * float(np.min(rod.EI)) / float(scene.length) ** 3
     return float(np.sqrt(stiffness / mass) / (2 * np.pi))
 
 

@@ -16,6 +16,7 @@ import numpy as np
 import softrod_jax as sr
 from calibration.experiment.setup import Setup
 from calibration.parameters.scales import Between, Factor, Scale, Shift
+from softrod_jax.scene.placement import outside_sections
 
 
 @dataclass(frozen=True)
@@ -66,6 +67,11 @@ def _scene(name: str) -> Callable:
     return lambda setup: getattr(setup.scene, name)
 
 
+def _length(setup: Setup):
+    """That of the rod; segments have lengths of their own."""
+    return setup.scene.length if setup.scene.segments is None else None
+
+
 def _part(part: str, name: str) -> Callable:
     def find(setup):
         owner = getattr(setup.scene, part)
@@ -75,11 +81,10 @@ def _part(part: str, name: str) -> Callable:
 
 
 def _in_section(part: str) -> Callable:
-    """Whether all tendons or chambers of a setup are within the section."""
+    """Whether all tendons or chambers of a setup are within the sections, or need not be."""
 
     def inside(setup: Setup) -> bool:
-        offsets = getattr(setup.scene, part).offsets
-        return bool(np.all(np.asarray(setup.scene.section.contains(offsets))))
+        return not any(key.startswith(part) for key, _, _ in outside_sections(setup.scene))
 
     return inside
 
@@ -104,7 +109,7 @@ def catalogue(scene: sr.Scene) -> tuple[dict[str, Parameter], dict[str, tuple[st
         Parameter("shear_damping", "N s", _scene("shear_damping"), remedy="rod.shear_damping"),
         Parameter("poisson_ratio", "1", _scene("poisson_ratio"), Between(-1.0, 0.5)),
         Parameter("density", "kg/m^3", _scene("density")),
-        Parameter("length", "m", _scene("length")),
+        Parameter("length", "m", _length, remedy="rod.length"),
         Parameter(
             "shear_correction", "1", _scene("shear_correction"), remedy="rod.shear_correction"
         ),

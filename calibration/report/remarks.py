@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from calibration.experiment.bulk import bulk
 from calibration.inference.explain import TELLING
 from calibration.parameters.materials import MATERIALS, SOFT
 from calibration.parameters.scales import LARGEST_FACTOR
@@ -121,7 +122,7 @@ def _implausible(fit):
                 "section, length and what the tip carries."
             )
     if "drag_coefficient" in fit.parameters:
-        width = 2 * np.sqrt(float(fit.scene.section.area) / np.pi)
+        width = 2 * np.sqrt(float(bulk(fit.scene).area) / np.pi)
         air = 0.5 * _AIR_DENSITY * _BLUFF * width
         low = fit.parameters["drag_coefficient"].ci95[0]
         if low is not None and np.min(low) > 10 * air:

@@ -7,6 +7,7 @@ coarse search over factors of the modulus and the damping.
 
 import numpy as np
 
+from calibration.experiment.bulk import bulk
 from calibration.problem.problem import Point, Problem, losses_by_delay
 from calibration.search.progress import Report
 
@@ -118,8 +119,7 @@ def in_time(point: Point) -> tuple[float, np.ndarray]:
 
 def _largest_damping(problem: Problem, x, frequency: float) -> float:
     """B_bt [N m^2 s] of the largest damping ratio, zeta = omega B_bt / (2 E I)."""
-    scene = problem.fitted_setup(x, 0).scene
-    stiffness = float(scene.young_modulus) * float(np.max(scene.section.second_moments))
+    stiffness = float(np.max(bulk(problem.fitted_setup(x, 0).scene).EI))
     return 2 * _LARGEST_DAMPING_RATIO * stiffness / (2 * np.pi * frequency)
 
 

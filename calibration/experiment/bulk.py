@@ -1,0 +1,51 @@
+"""A uniform cantilever in place of a scene's rod: its mass and its stiffness, for estimates.
+
+Segments and tapers are summed up. The stiffness is that of a rod which bends, or stretches, as far
+under a force at its tip. A uniform rod is its own.
+"""
+
+from typing import NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+import softrod_jax as sr
+
+Scalar = Float[Array, ""]
+
+# Of Gauss, on [0, 1]: exact for what a uniform segment needs.
+_PLACES, _WEIGHTS = np.polynomial.legendre.leggauss(4)
+_PLACES, _WEIGHTS = (1 + _PLACES) / 2, _WEIGHTS / 2
+
+
+class Bulk(NamedTuple):
+    """`mass` [kg]; `area` [m^2], the mean one; `EI` [N m^2], (2,), about x and y; `EA` [N]."""
+
+    mass: Scalar
+    area: Scalar
+    EI: Float[Array, "2"]
+    EA: Scalar
+
+
+def bulk(scene: sr.Scene) -> Bulk:
+    """The numbers of a scene's rod as a whole; they may be traced."""
+    length, start = scene.length, 0.0
+    mass, volume, bending, stretch = 0.0, 0.0, 0.0, 0.0
+    for segment in scene.parts:
+        for place, weight in zip(_PLACES, _WEIGHTS, strict=True):
+            section, measured = segment.section_at(place), segment.stiffness
+            ds = weight * segment.length
+            lever = (length - start - place * segment.length) / length
+            if measured is None:
+                EI = segment.young_modulus * section.second_moments
+                EA = segment.young_modulus * section.area
+            else:
+                # An inextensible rod need not say how far it stretches.
+                EI, EA = measured.bending, jnp.inf if measured.axial is None else measured.axial
+            density = segment.linear_density
+            density = segment.density * section.area if density is None else density
+            mass, volume = mass + density * ds, volume + section.area * ds
+            bending, stretch = bending + lever**2 * ds / EI, stretch + ds / EA
+        start = start + segment.length
+    return Bulk(mass, volume / length, length / (3 * bending), length / stretch)
