@@ -248,3 +248,100 @@ def test_names_of_solutions():
     assert {"positions", "quaternions", "strains", "result"} <= fields
     fields = {field.name for field in dataclasses.fields(sr.Trajectory)}
     assert {"ts", "positions", "quaternions", "strains", "result"} <= fields
+
+
+def wider():
+    """Two segments, the first a taper; tendons on disks, a part of a tendon, and what is there."""
+    return sr.Scene(
+        segments=[
+            sr.Segment(0.06, sr.Circle(6e-3), sr.Circle(4e-3)),
+            sr.Segment(0.04, sr.Annulus(3e-3, 1e-3)),
+        ],
+        young_modulus=5e4,
+        poisson_ratio=0.49,
+        density=1070.0,
+        tendons=sr.Tendons(
+            [[2e-3, 0.0], [0.0, 0.0]],
+            paths=[None, sr.Line([8e-3, 0.0], [2e-3, 0.0])],
+            starts_at=[0.01, None],
+            ends_at=[0.055, None],
+            guided=("rod", "disks"),
+        ),
+        chambers=sr.Chambers([4e-6], [[0.0, 1e-3]], ends_at=[0.03]),
+        loads=[
+            sr.Load(0.035, force=[0.0, 2.0, 0.0]),
+            sr.Load(0.1, force=[1.0, 0.0, 0.0], frame="body"),
+        ],
+        masses=[sr.Mass(0.035, 1e-3)],
+        markers=[sr.Marker("eye", 0.05, offset=[0.0, 4e-3, 0.0])],
+    )
+
+
+def test_parts_of_a_wider_scene_lie_where_it_has_them():
+    body = body_of(wider(), 49)
+    assert {0.01, 0.03, 0.035, 0.05, 0.055} <= set(body.arc)
+    cone, tube = body.outlines
+    s = body.arc[cone.where]
+    assert (s[0], s[-1]) == (0.0, 0.06) and body.arc[tube.where][0] == 0.06
+    assert np.all(np.diff(s) > 0) and len(body.arc) == len(s) + len(body.arc[tube.where])
+    radii = np.linalg.norm(cone.points, axis=-1)
+    np.testing.assert_allclose(radii, np.tile((6e-3 - 2e-3 * s / 0.06)[:, None], radii.shape[1]))
+    np.testing.assert_allclose(np.linalg.norm(tube.points, axis=-1), 3e-3)
+    assert [bore.where for bore in body.bores] == [tube.where]
+    straight, converging = body.tendons
+    assert (body.arc[straight.where][0], body.arc[straight.where][-1]) == (0.01, 0.055)
+    along = body.arc[converging.where]
+    np.testing.assert_allclose(converging.points[:, 0], 8e-3 - 6e-3 * along / 0.1)
+    np.testing.assert_array_equal([body.arc[end.where][0] for end in body.ends], [0.01, 0.055])
+    assert body.arc[body.chambers[0].where][-1] == 0.03
+    for disk in body.disks:
+        away = 8e-3 - 6e-3 * body.arc[disk.where][0] / 0.1
+        np.testing.assert_allclose(np.linalg.norm(disk.points, axis=1), 1.1 * away)
+    assert len(body.disks) == 9
+    np.testing.assert_allclose([body.radius, body.reach], [6e-3, 8.8e-3])
+
+
+def test_between_nodes_that_are_not_even_the_line_is_the_rod():
+    """With two nodes at one place, and a rod that bends from there on only."""
+    s = np.concatenate([[0.0, 0.02, 0.05], np.linspace(0.05, 0.08, 6), np.linspace(0.084, 0.1, 4)])
+    s = np.append(s, 0.1)
+    bends = np.arange(len(s)) > 2
+    p, turn = arc_at(np.maximum(s - 0.05, 0.0), 20.0)
+    p = p + STRETCH * np.stack([0 * s, 0 * s, np.minimum(s, 0.05)], 1)
+    strains = np.zeros((len(s), 6))
+    strains[:, 2], strains[:, 4] = STRETCH, 20.0 * bends
+    shape = SimpleNamespace(
+        positions=p,
+        quaternions=np.asarray(quaternion_exp(jnp.asarray(turn))),
+        strains=strains,
+        arc_lengths=s,
+    )
+    places = np.linspace(0.0, 0.1, 41)
+    expected, _ = arc_at(np.maximum(places - 0.05, 0.0), 20.0)
+    expected[:, 2] += STRETCH * np.minimum(places, 0.05)
+    np.testing.assert_allclose(line_along(shape, places).p, expected, rtol=0, atol=1e-6 * LENGTH)
+
+
+def test_a_wider_scene_is_drawn_with_its_loads_and_markers():
+    scene, shape = wider(), arc(20.0)
+    axes = pictures.rod_axes(Figure(), scene, shape)
+    full = pictures.draw_rod(axes, scene, shape)
+    bare = dataclasses.replace(scene, loads=None, masses=None, markers=None)
+    assert len(full) - len(pictures.draw_rod(axes, bare, shape)) == 5
+    assert [text.get_text() for text in axes.texts] == [" eye"]
+    # Each arrow is a quarter of the rod: one across at 35 mm, one with the body at the tip.
+    across, body = [x for x in full if type(x).__name__ == "Line3DCollection"][-2:]
+    for quiver, u, at in ((across, [0, 1, 0], 0.035), (body, None, 0.1)):
+        shaft = np.asarray(quiver._segments3d[0])
+        p, turn = arc_at(np.array(at), 20.0)
+        angle = turn[1]
+        u = np.array([np.cos(angle), 0, -np.sin(angle)]) if u is None else np.array(u)
+        np.testing.assert_allclose(shaft[1], 1e3 * p, rtol=0, atol=2e-4)
+        np.testing.assert_allclose(shaft[0] - shaft[1], 25.0 * u, rtol=0, atol=1e-3)
+    limits = np.array([axes.get_xlim(), axes.get_ylim(), axes.get_zlim()])
+    assert limits[1].max() > 25.0
+
+
+def test_a_film_of_a_wider_scene(tmp_path):
+    with Image.open(film(tmp_path / "a.gif", scene=wider())) as image:
+        assert image.n_frames > 1

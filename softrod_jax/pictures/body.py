@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from softrod_jax.rod.rotations import rotation_matrix
-from softrod_jax.scene.scene import Scene
+from softrod_jax.scene.scene import Scene, as_arrays
 from softrod_jax.scene.sections import Annulus, Circle, Rectangle
 from softrod_jax.scene.tendons import Tendons
 
@@ -75,6 +75,7 @@ class Line(NamedTuple):
 
 def body_of(scene: Scene, points: int) -> Body:
     """The parts of `scene` at `points` places or some more, about evenly along the rod."""
+    scene = as_arrays(scene)  # it may hold lists
     arc, pieces = _places(scene, points)
     outlines, bores = [], []
     for where, segment in pieces:
