@@ -29,8 +29,9 @@ from calibration.inference.resolution import (
 from calibration.parameters import materials
 from calibration.parameters.catalogue import catalogue
 from calibration.parameters.unknowns import Unknowns, check_conditions, choose_unknowns
+from calibration.problem.evaluation import reverse_pays
 from calibration.problem.motion import METHOD, SCHEME, make_batch
-from calibration.problem.problem import Point, Problem, reverse_pays
+from calibration.problem.problem import Point, Problem
 from calibration.report.assemble import estimates, recording_fit, setup_with
 from calibration.report.results import Fit, RecordingFit
 from calibration.search import optimise, robust
