@@ -18,6 +18,7 @@ from softrod_jax.rod.ode import (
     to_body_by_attitude,
 )
 from softrod_jax.rod.rotations import hat, quaternion_exp, rotation_matrix, to_body
+from softrod_jax.scene.scene import as_arrays
 
 
 def full_scene(**changes):
@@ -39,7 +40,7 @@ def full_scene(**changes):
         rest_curvature=jnp.array([2.0, -1.0, 3.0]),
         rest_stretch=jnp.array([0.01, -0.02, 1.1]),
     )
-    return sr.scene.as_arrays(sr.Scene(**(parts | changes)))
+    return as_arrays(sr.Scene(**(parts | changes)))
 
 
 TENSIONS, PRESSURES = jnp.array([0.2, 0.05, 0.1]), jnp.array([2e4, 1e4])
