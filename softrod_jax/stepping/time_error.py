@@ -2,8 +2,9 @@
 
 Every step makes a local error, in modes of the rod that it resolves and in those that it does not.
 An oscillation turns a local error about but does not undo it: local errors are added up by
-their size, and not as vectors. What damping makes a rod forget is forgotten. The estimate is thus a
-cautious one, and costs a few operations along the rod a step.
+their size, and not as vectors. What damping makes a rod forget is forgotten, and what a moment in
+space makes grow has grown. The estimate is thus a cautious one, and costs a few operations along
+the rod a step.
 """
 
 import jax.numpy as jnp
@@ -23,6 +24,8 @@ _DOUBLES = 0.1
 CAUTION = 1.3
 # Of the slowest decay of a bending mode, the part that is believed.
 _BELIEVED = 0.7
+# The slope at the tip of a cantilever's first mode, in tip displacements per length.
+_SLOPE = 1.3765
 # The part of a rod's mass that counts at the tip in the first mode of a cantilever.
 EFFECTIVE_MASS = 0.2427
 
@@ -39,14 +42,17 @@ def accumulated(total, errors: LocalErrors, dt, strain, rod: Rod, method: Method
     Of the estimates of one local error the smallest is taken: each is about as large as the
     error, or larger.
     """
-    pose = method.shape(full_strain(strain, rod), rod.L, jnp.zeros(3), jnp.array([1.0, 0, 0, 0]))
+    clamp = rod.h_base if rod.plane is None else jnp.array([1.0, 0, 0, 0])
+    _, attitude = method.shape(full_strain(strain, rod), rod.L, jnp.zeros(3), clamp)
+    tangent = to_base(attitude, method.outputs(full_strain(strain, rod))[:, :3])
     moved = [
-        largest_displacement(error[0], strain, pose[1], rod, method)
+        largest_displacement(error[0], tangent, attitude, rod, method)
         for error in (errors.lower, errors.difference)
         if error is not None
     ]
-    forgotten = jnp.exp(-_BELIEVED * slowest_decay(rod) * dt)
-    return forgotten * total + jnp.min(jnp.stack(moved), axis=0)
+    # What grows by more in a step is an oscillation that the scheme damps out.
+    changed = jnp.exp(jnp.minimum(rate_of_change(rod, tangent[-1]) * dt, 1.0))
+    return changed * total + jnp.min(jnp.stack(moved), axis=0)
 
 
 def grown(total) -> Float[Array, ""]:
@@ -54,8 +60,10 @@ def grown(total) -> Float[Array, ""]:
     return CAUTION * total * (1 + total / _DOUBLES)
 
 
-def largest_displacement(change, strain, attitude, rod: Rod, method: Method) -> Float[Array, ""]:
+def largest_displacement(change, tangent, attitude, rod: Rod, method: Method) -> Float[Array, ""]:
     """How far a small `change` of the strains (points, n) moves a point of the rod, in lengths.
+
+    `tangent` (nodes, 3) and `attitude` (nodes, 4) of the rod are in the base frame.
 
     The maximum along the rod and not the tip's: modes whose displacements of the tip cancel now
     do not cancel later.
@@ -64,23 +72,35 @@ def largest_displacement(change, strain, attitude, rod: Rod, method: Method) -> 
         stretch = jnp.zeros((change.shape[0], rod.v_star.size))
         change = jnp.concatenate([stretch, change], -1)
     change = method.outputs(in_space(change, rod.plane))
-    tangent = to_base(attitude, method.outputs(full_strain(strain, rod))[:, :3])
     spacing = rod.L / (change.shape[0] - 1)
     turned = _integral(to_base(attitude, change[:, 3:]), spacing)
     moved = _integral(to_base(attitude, change[:, :3]) + cross(turned, tangent), spacing)
     return jnp.sqrt(jnp.max(jnp.sum(moved * moved, -1))) / rod.L
 
 
-def slowest_decay(rod: Rod) -> Float[Array, ""]:
-    """The rate [1/s] at which damping makes the first bending mode forget; 0 without damping.
+def rate_of_change(rod: Rod, tangent: Float[Array, "3"]) -> Float[Array, ""]:
+    """The rate [1/s] at which an error in the first bending mode grows or, below 0, is forgotten.
 
-    Where that mode creeps, the rate at which it does.
+    A moment of fixed direction has no potential in space (Ziegler, Principles of Structural
+    Stability, 1968). What of it points along the `tangent` of the tip couples that mode in two
+    planes by a skew matrix: a rod that is not damped flutters under any. With x in one plane and y
+    in the other, (x + iy)_tt + 2 a (x + iy)_t + (omega^2 - i kappa) (x + iy) = 0.
     """
     if rod.B_bt is None:
-        return jnp.zeros(())
-    damping = jnp.min(rod.B_bt[:2])
-    swings = 1.5 * damping / (rod.L**3 * tip_mass(rod))
-    return jnp.minimum(swings, jnp.min(rod.K_bt[:2]) / jnp.maximum(damping, 1e-300))
+        swings = decay = jnp.zeros(())
+    else:
+        damping = jnp.min(rod.B_bt[:2])
+        swings = _BELIEVED * 1.5 * damping / (rod.L**3 * tip_mass(rod))
+        # Where the mode creeps, the rate at which it does.
+        creeps = jnp.min(rod.K_bt[:2]) / jnp.maximum(damping, 1e-300)
+        decay = jnp.minimum(swings, _BELIEVED * creeps)
+    if rod.M_tip is None or rod.plane is not None:
+        return -decay
+    along = jnp.sum(rod.M_tip * tangent) / jnp.linalg.norm(tangent)
+    kappa = 0.5 * _SLOPE**2 * along / (rod.L**2 * tip_mass(rod))
+    square = swings**2 - 3 * jnp.min(rod.K_bt[:2]) / (rod.L**3 * tip_mass(rod))
+    root = jnp.sqrt(jnp.maximum(0.5 * (jnp.sqrt(square**2 + kappa**2) + square), 0.0))
+    return jnp.maximum(root - swings, -decay)
 
 
 def _integral(f: Float[Array, "nodes 3"], spacing) -> Float[Array, "nodes 3"]:
