@@ -118,7 +118,7 @@ def gravity_step(dt, **options):
     count, as_given = round(DURATION / FINEST), dict(substeps=1, max_time_error=np.inf)
     motion = sr.simulate(across(), dt, steps=count, **as_given, **options)
     steps = round(DURATION / dt)
-    stats = {name: np.asarray(x)[:steps] for name, x in motion.stats.items()}
+    stats = {name: np.asarray(x)[:steps] for name, x in motion.stats.items() if np.ndim(x)}
     return np.asarray(motion.tip_positions)[: steps + 1], stats
 
 

@@ -41,7 +41,7 @@ def plain():
     return (
         mock.patch.object(marching, "search_by_inertia", plainly),
         mock.patch.object(marching, "make_rod", without_viscosity),
-        mock.patch.object(sr.Collocation, "_error", nothing),
+        mock.patch.object(sr.Collocation, "error_in_motion", nothing),
         mock.patch.object(marching, "accumulated", nothing),
     )
 
