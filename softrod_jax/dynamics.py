@@ -91,7 +91,7 @@ def simulate(
       those found on a typical motion.
     - `max_time_error`: above this estimated error of the tip from the steps in time, in lengths,
       the code is `inaccurate`; `stats["needed_substeps"]` says what would do. The estimate of one
-      motion is 0.4 to 20 times its error. Outside of `jit`, `vmap` and `grad`, from half of the
+      motion is 0.4 to 20 times its error. Outside of `jit`, `vmap` and `grad`, from 0.4 of the
       limit on, a second motion with more care decides.
     - `initial`: start from this equilibrium (same `method`); from the unloaded rod if `None`. One
       that has not been found has no motion either: its code is that of the motion.

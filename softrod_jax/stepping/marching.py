@@ -214,9 +214,7 @@ def make_stepping(scene, dt, actuation, begin, substeps, scheme, method, options
 
         new_memory, after, errors = scheme.step(memory, coefficients, solve, running)
         fields, errors = jax.lax.stop_gradient((new_memory[0], errors))
-        time_error = accumulated(
-            running.time_error, errors, part * dt, fields.strain, rod, method
-        )
+        time_error = accumulated(running.time_error, errors, part * dt, fields.strain, rod, method)
         # After a failure the rod is held where it was: its numbers stay finite.
         ok = after.result == RESULTS.successful
         hold = lambda new, old: jax.tree.map(lambda a, b: jnp.where(ok, a, b), new, old)
@@ -281,9 +279,7 @@ def make_stepping(scene, dt, actuation, begin, substeps, scheme, method, options
     def step(state, row):
         memory, running = state
         coefficients, course = row
-        running = running._replace(
-            iterations=jnp.zeros((), jnp.int32), correction=jnp.zeros(())
-        )
+        running = running._replace(iterations=jnp.zeros((), jnp.int32), correction=jnp.zeros(()))
         if isinstance(substeps, LocalError):
             state, count = substeps_by_error(course, (memory, running))
         else:

@@ -37,7 +37,7 @@ _STEPS_PER_RADIAN = 2
 _KEPT, _ROUGH = 2e-3, 1e-4
 # The estimate of one motion may be too small by this factor. From there up to the limit, this many
 # times as many substeps must not move the tip by more than this part of the limit.
-_DOUBTFUL, _TIMES, _CONFIRMS = 0.52, 4, 0.3
+_DOUBTFUL, _TIMES, _CONFIRMS = 0.4, 4, 0.3
 # Of two motions, the one with this many times as many substeps may confirm the other.
 _MORE = 1.25
 # Motions with more and more care at most, where no accuracy is asked for.
@@ -154,10 +154,7 @@ def run_checked(
     care = _first_care(rod, dt, scheme, _TIMES * substeps, _KEPT)
     fine = unjudged(care, method)
     if fine.result == RESULTS.successful:
-        # Substeps that errors choose keep the limit that they are given, if they choose any.
         left = np.asarray(fine.stats["time_error"])
-        if isinstance(care, LocalError) and _is_finer(fine, motion):
-            left = np.minimum(left, _KEPT)
         error = np.maximum(_apart(motion, fine, rod) + left, least)
         if error[-1] <= limit:
             return judged(error)
