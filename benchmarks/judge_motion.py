@@ -159,14 +159,18 @@ def judged(cases, file: Path | None):
     return tips, known
 
 
+@jax.jit
+def under_jit(scene, dt, tensions):
+    return sr.simulate(scene, dt, tensions, throw=False)
+
+
 def tried(case, tips, known):
     """One row: what `simulate` says of a motion, and what the judge says of that."""
     scene, pulls, dt, kind = case
     length = float(scene.length)
     row = {"kind": kind, "known": float(np.max(known))}
-    plain = jax.jit(lambda tau: sr.simulate(scene, dt, tau, throw=False))
     for name, run in (
-        ("jit", plain),
+        ("jit", lambda tau: under_jit(scene, dt, tau)),
         ("given", lambda tau: sr.simulate(scene, dt, tau, substeps=1, throw=False)),
         ("default", lambda tau: sr.simulate(scene, dt, tau, throw=False)),
     ):
