@@ -14,8 +14,8 @@ from calibration.experiment.setup import Setup, rotated
 from calibration.parameters.catalogue import catalogue, choose, prepared, with_values
 from calibration.parameters.scales import Between, Factor, Shift
 from calibration.parameters.unknowns import choose_unknowns
-from calibration.problem.motion import make_batch
 from calibration.problem.evaluation import predict, reverse_pays
+from calibration.problem.motion import make_batch
 from calibration.problem.problem import Problem
 from softrod_jax.scene.scene import as_arrays
 
