@@ -13,7 +13,6 @@ from scipy.optimize import brentq, least_squares
 import softrod_jax as sr
 from softrod_jax import dynamics, statics
 from softrod_jax.scene.scene import as_arrays
-from softrod_jax.stepping.time_error import CAUTION
 
 SHARED = Path(__file__).parents[2] / "shared" / "reference"
 
@@ -181,14 +180,14 @@ def test_tip_velocity_is_the_rate_of_the_tip():
 @pytest.mark.parametrize("scheme", [sr.BDFAlpha(), sr.BDFAlpha(-0.2), sr.SDIRK(4)], ids=str)
 @pytest.mark.skipif(not _reference_cases(), reason="shared/reference/dynamic.json is absent")
 def test_the_estimated_error_in_time(scheme):
-    """Not below the true one, and not over ten times it, but for its factor of caution."""
+    """Not below the true one, and not over twelve times it, with its factor of caution of 1.3."""
     path, dt = _reference_cases()["gravity_step"]["trajectory"], 1e-2
     scene = with_(
         sr.hybrid_robot(), gravity=jnp.array([-9.81, 0.0, 0.0]), drag_coefficient=None
     )
     motion = sr.simulate(scene, dt, steps=100, scheme=scheme)
     error = np.abs(np.array(motion.tip_positions[:, 0]) - np.array(path["x"])[::2]).max() / 0.1
-    assert error < motion.stats["time_error"][-1] < 10 * CAUTION * error
+    assert error < motion.stats["time_error"][-1] < 12 * error
 
 
 def test_a_tolerance_is_kept():

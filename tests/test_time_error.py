@@ -159,3 +159,32 @@ def test_errors_grow_under_a_moment_that_makes_the_rod_flutter():
     estimate = rough.stats["time_error"]
     assert estimate[-1] > 3 * estimate[9]  # and so does the estimate
     assert np.all(3 * estimate > np.maximum.accumulate(apart)[1:])
+
+
+@pytest.mark.parametrize("damping", [None, 1e-6])
+@pytest.mark.parametrize("moment", [[0.0, 0.0, 0.0], [0.0, 0.0, 1e-4]])
+def test_an_estimate_has_no_slope_and_spoils_none(moment, damping):
+    """Its roots are at zero where a moment is; reverse mode must not see them."""
+    scene = as_arrays(
+        sr.Scene(
+            length=0.1,
+            section=sr.Circle(6e-3),
+            young_modulus=5e4,
+            poisson_ratio=0.49,
+            density=1070.0,
+            bending_damping=damping,
+            gravity=[-9.81, 0.0, 0.0],
+            tip_load=sr.TipLoad(moment=moment),
+        )
+    )
+
+    def both(scene):
+        motion = sr.simulate(scene, 5e-3, steps=3, method=sr.Collocation(6), throw=False)
+        return motion.tip_positions[-1, 0], motion.stats["time_error"][-1]
+
+    by_tip, by_estimate = (
+        jax.jit(jax.grad(lambda scene, k=k: both(scene)[k]))(scene) for k in (0, 1)
+    )
+    assert abs(by_tip.young_modulus) > 0
+    assert all(np.all(np.isfinite(x)) for x in jax.tree.leaves(by_tip))
+    assert not any(np.any(x) for x in jax.tree.leaves(by_estimate))

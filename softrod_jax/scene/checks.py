@@ -20,7 +20,7 @@ from softrod_jax.scene.ranges import ANY, Number, numbers_of
 from softrod_jax.scene.scene import Scene, as_arrays, is_list
 
 
-class _Part(NamedTuple):
+class Part(NamedTuple):
     """A number or an array of a scene, by its key in a scene file, and its range."""
 
     key: str
@@ -89,7 +89,7 @@ def impossible(scene: Scene) -> Iterator[tuple[str, Any, str]]:
             yield "chambers", f"{areas} areas and {offsets} offsets", "expected one of each"
 
 
-def parts_of(module: eqx.Module, prefix: str) -> list[_Part]:
+def parts_of(module: eqx.Module, prefix: str) -> list[Part]:
     """All numbers, in the order of `jax.tree.leaves`."""
     parts, ranges = [], numbers_of(type(module))
     for field in dataclasses.fields(module):
@@ -101,14 +101,14 @@ def parts_of(module: eqx.Module, prefix: str) -> list[_Part]:
         if isinstance(value, eqx.Module):
             parts += parts_of(value, within)
         elif field.name in ranges:
-            parts.append(_Part(key, ranges[field.name], value))
+            parts.append(Part(key, ranges[field.name], value))
         else:
             # Of an actuator or a section that is not one of this package.
-            parts += [_Part(key, ANY, x) for x in jax.tree.leaves(value)]
+            parts += [Part(key, ANY, x) for x in jax.tree.leaves(value)]
     return parts
 
 
-def _unfit(part: _Part) -> Iterator[tuple[str, Any]]:
+def _unfit(part: Part) -> Iterator[tuple[str, Any]]:
     """Its key and value if it cannot be; of an array with a row an actuator, those of the row."""
     shown, known = part.value, not _is_traced(part.value)
     try:
@@ -140,4 +140,5 @@ def _is_traced(value) -> bool:
 
 
 def relations_of(owner):
+    """What must hold between the numbers of a scene or a section; see their `relations`."""
     return owner.relations() if hasattr(owner, "relations") else ()

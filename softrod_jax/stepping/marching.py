@@ -214,7 +214,10 @@ def make_stepping(scene, dt, actuation, begin, substeps, scheme, method, options
 
         new_memory, after, errors = scheme.step(memory, coefficients, solve, running)
         fields, errors = jax.lax.stop_gradient((new_memory[0], errors))
-        time_error = accumulated(running.time_error, errors, part * dt, fields.strain, rod, method)
+        # Roots in the estimate have no slope at zero, and nothing is differentiated through it.
+        time_error = jax.lax.stop_gradient(
+            accumulated(running.time_error, errors, part * dt, fields.strain, rod, method)
+        )
         # After a failure the rod is held where it was: its numbers stay finite.
         ok = after.result == RESULTS.successful
         hold = lambda new, old: jax.tree.map(lambda a, b: jnp.where(ok, a, b), new, old)

@@ -21,7 +21,7 @@ from softrod_jax.stepping.schemes import LocalErrors
 # errors were large (motions of `benchmarks/judge_motion.py`, judged by an independent code).
 _DOUBLES = 0.1
 # Of 144 judged motions the least estimate without this factor was 0.32 of the error.
-CAUTION = 1.3
+_CAUTION = 1.3
 # Of the slowest decay of a bending mode, the part that is believed.
 _BELIEVED = 0.7
 # The slope at the tip of a cantilever's first mode, in tip displacements per length.
@@ -57,7 +57,7 @@ def accumulated(total, errors: LocalErrors, dt, strain, rod: Rod, method: Method
 
 def grown(total) -> Float[Array, ""]:
     """The estimate with what the local errors of `accumulated` have become since they were made."""
-    return CAUTION * total * (1 + total / _DOUBLES)
+    return _CAUTION * total * (1 + total / _DOUBLES)
 
 
 def largest_displacement(change, tangent, attitude, rod: Rod, method: Method) -> Float[Array, ""]:
