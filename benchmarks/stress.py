@@ -60,6 +60,11 @@ def is_flattering(row):
     return KINDS[row["what"]].is_flattering(row)
 
 
+def is_answered(row):
+    """There is a rod, if not one that is accurate: its error has an estimate."""
+    return row["result"] in ("successful", "inaccurate")
+
+
 def is_remarkable(row):
     return not is_solved(row) or is_wrong(row) or is_flattering(row) or row["time"] > LONG
 
@@ -126,7 +131,7 @@ def summary(rows) -> str:
                 ", ".join(f"{n} `{code}`" for code, n in codes.items()) or "none",
                 compared_with(what, here),
                 str(sum(map(is_wrong, here))),
-                str(sum(map(is_flattering, solved))),
+                str(sum(map(is_flattering, filter(is_answered, here)))),
                 f"{np.nanmax([row['error'] for row in solved]):.0e}".replace("e-0", "e-"),
                 f"{np.median(times):.2g}, {np.quantile(times, 0.95):.2g}",
             ]
