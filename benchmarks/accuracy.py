@@ -129,9 +129,7 @@ def _motion(load, step, duration, smallest, **options):
 
     def run():
         return jax.block_until_ready(
-            sr.simulate(
-                scene, dt, tensions, steps=tensionless, throw=False, **as_given, **options
-            )
+            sr.simulate(scene, dt, tensions, steps=tensionless, throw=False, **as_given, **options)
         )
 
     warm = (tensions is None, steps, *options.values())

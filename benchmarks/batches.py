@@ -96,7 +96,13 @@ def main():
             rows.append([*row, f"{1e3 * taken:.2g}", ratio, f"{DT / taken:.0f}"])
             print(rows[-1], flush=True)
     header = [
-        "", "error [m]", "rods", "how", "step of a rod [ms]", "alone / this", "times real time",
+        "",
+        "error [m]",
+        "rods",
+        "how",
+        "step of a rod [ms]",
+        "alone / this",
+        "times real time",
     ]
     where = f"{machine()}, {jax.device_count()} of `{jax.devices()[0].device_kind}`"
     publish("batches", f"{table(header, rows)}\n\n{where}.")

@@ -1,12 +1,14 @@
 """Random motions at the default settings, judged by an independent explicit code.
 
     python benchmarks/judge_motion.py [--motions 120] [--seed 0] [--tips FILE] [--rows FILE]
+        [--write-readme]
 
 Every motion has 40 steps. They span length 0.03 to 0.5 m, slenderness L/r 9 to 90, Young's modulus
 1e5 to 1e11 Pa, damping ratios of the first mode 1e-4 to 0.2, 5 to 50 steps in its period; tensions
 that jump, ramp, saw, pulse, are let go or jump twice, gravity, tip loads, payloads and drag. The
 judge is `explicit_rod.py` on two grids, extrapolated; the change by that is how well it knows.
-Tips of the judge are kept in --tips, and found again there.
+Tips of the judge are kept in --tips, and found again there; rows in --rows, where those of several
+seeds may be. The table is of all of them, and goes into the README with --write-readme.
 """
 
 import argparse
@@ -20,7 +22,7 @@ jax.config.update("jax_enable_x64", True)
 
 import numpy as np
 from explicit_rod import Rods, motion
-from report import table
+from report import machine, publish, table
 
 import softrod_jax as sr
 from softrod_jax.scene.scene import as_arrays
@@ -157,14 +159,18 @@ def judged(cases, file: Path | None):
     return tips, known
 
 
+@jax.jit
+def under_jit(scene, dt, tensions):
+    return sr.simulate(scene, dt, tensions, throw=False)
+
+
 def tried(case, tips, known):
     """One row: what `simulate` says of a motion, and what the judge says of that."""
     scene, pulls, dt, kind = case
     length = float(scene.length)
     row = {"kind": kind, "known": float(np.max(known))}
-    plain = jax.jit(lambda tau: sr.simulate(scene, dt, tau, throw=False))
     for name, run in (
-        ("jit", plain),
+        ("jit", lambda tau: under_jit(scene, dt, tau)),
         ("given", lambda tau: sr.simulate(scene, dt, tau, substeps=1, throw=False)),
         ("default", lambda tau: sr.simulate(scene, dt, tau, throw=False)),
     ):
@@ -194,7 +200,7 @@ def summary(rows) -> str:
         lines.append(
             [
                 title,
-                str(len(here)),
+                f"{len(here)} of {len(rows)}",
                 " / ".join(f"{q:.2g}" for q in np.quantile(ratio, [0.0, 0.05, 0.5, 0.95])),
                 str(int(np.sum(ratio < 1 / 3))),
                 str(len(off)),
@@ -222,18 +228,22 @@ def main():
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--tips", type=Path)
     parser.add_argument("--rows", type=Path)
+    parser.add_argument("--write-readme", action="store_true")
     options = parser.parse_args()
-    cases = [random_motion(options.seed, k) for k in range(options.motions)]
-    tips, known = judged(cases, options.tips)
     rows = []
     if options.rows and options.rows.exists():
         rows = [json.loads(line) for line in options.rows.read_text().splitlines()]
-    for k in range(len(rows), len(cases)):
-        rows.append({"motion": k} | tried(cases[k], tips[k], known[k]))
+    done = {(row["seed"], row["motion"]) for row in rows}
+    left = [k for k in range(options.motions) if (options.seed, k) not in done]
+    cases = [random_motion(options.seed, k) for k in range(options.motions)] if left else []
+    tips, known = judged(cases, options.tips) if left else ((), ())
+    for k in left:
+        row = {"seed": options.seed, "motion": k} | tried(cases[k], tips[k], known[k])
+        rows.append(row)
         if options.rows:
             with options.rows.open("a") as file:
-                file.write(json.dumps(rows[-1]) + "\n")
-    print(summary(rows))
+                file.write(json.dumps(row) + "\n")
+    publish("judged motions", f"{summary(rows)}\n\n{machine()}.")
 
 
 if __name__ == "__main__":

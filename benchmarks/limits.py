@@ -36,9 +36,23 @@ METHOD = sr.Collocation()
 SCENE = sr.hybrid_robot(gravity=jnp.array([-9.81, 0.0, 0.0]))
 # Moving numbers is no operation on them.
 MOVES = {
-    "broadcast_in_dim", "concatenate", "convert_element_type", "copy", "dynamic_slice",
-    "dynamic_update_slice", "gather", "iota", "pad", "reshape", "rev", "scatter", "select_n",
-    "slice", "squeeze", "stop_gradient", "transpose",
+    "broadcast_in_dim",
+    "concatenate",
+    "convert_element_type",
+    "copy",
+    "dynamic_slice",
+    "dynamic_update_slice",
+    "gather",
+    "iota",
+    "pad",
+    "reshape",
+    "rev",
+    "scatter",
+    "select_n",
+    "slice",
+    "squeeze",
+    "stop_gradient",
+    "transpose",
 }
 
 
@@ -124,7 +138,8 @@ def most() -> dict[str, tuple[float, str]]:
     return {
         "products of 1024 x 1024": (2 * 1024**3 / seconds(product, (large, large), 3), "op/s"),
         "12 products of 16 x 16 by 16 x 32": (
-            2 * small.size * 32 / seconds(product, (small, tall)), "op/s",
+            2 * small.size * 32 / seconds(product, (small, tall)),
+            "op/s",
         ),
         "copying 64 MB": (2 * copied.nbytes / seconds(lambda x: 1.5 * x, (copied,), 3), "B/s"),
     }

@@ -118,7 +118,7 @@ def gravity_step(dt, **options):
     count, as_given = round(DURATION / FINEST), dict(substeps=1, max_time_error=np.inf)
     motion = sr.simulate(across(), dt, steps=count, **as_given, **options)
     steps = round(DURATION / dt)
-    stats = {name: np.asarray(x)[:steps] for name, x in motion.stats.items()}
+    stats = {name: np.asarray(x)[:steps] for name, x in motion.stats.items() if np.ndim(x)}
     return np.asarray(motion.tip_positions)[: steps + 1], stats
 
 
@@ -248,9 +248,7 @@ JUMPS, JUMP_STEPS = np.linspace(0.05, 2.0, 40), (15e-3, 5e-3, 1e-3, 2e-4)
 def jump(dt, pull):
     """The code of ten steps in which a tension jumps at once to `pull`."""
     tensions = jnp.zeros((10, 3)).at[:, 0].set(pull)
-    motion = sr.simulate(
-        sr.hybrid_robot(), dt, tensions, max_time_error=jnp.inf, throw=False
-    )
+    motion = sr.simulate(sr.hybrid_robot(), dt, tensions, max_time_error=jnp.inf, throw=False)
     return motion.result
 
 

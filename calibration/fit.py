@@ -29,8 +29,9 @@ from calibration.inference.resolution import (
 from calibration.parameters import materials
 from calibration.parameters.catalogue import catalogue
 from calibration.parameters.unknowns import Unknowns, check_conditions, choose_unknowns
+from calibration.problem.evaluation import reverse_pays
 from calibration.problem.motion import METHOD, SCHEME, make_batch
-from calibration.problem.problem import Point, Problem, reverse_pays
+from calibration.problem.problem import Point, Problem
 from calibration.report.assemble import estimates, recording_fit, setup_with
 from calibration.report.results import Fit, RecordingFit
 from calibration.search import optimise, robust
@@ -84,9 +85,9 @@ def calibrate(
       the mean of what each fitted recording has for itself.
     - `time_offset`: also fit, for each recording, when its inputs or its release really began.
     - `optimiser`: "levenberg_marquardt", or "adam" (gradient descent), which goes by reverse mode
-      if each recording depends on many parameters (`calibration.problem.problem.reverse_pays`); by
-      default the first for up to `calibration.search.optimise.MANY` parameters, and the second for
-      more.
+      if each recording depends on many parameters (`calibration.problem.evaluation.reverse_pays`);
+      by default the first for up to `calibration.search.optimise.MANY` parameters, and the second
+      for more.
     - `loss`: "squares", or "huber" or "tukey", which outliers hardly move.
     - `starts`: search from so many places, the scene's own and others drawn from one decade
       around it on either side (with `seed`), and keep the best.

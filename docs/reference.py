@@ -135,16 +135,24 @@ def sources(package: str) -> dict[str, ast.Module]:
 def imports_of(package: str, tree, known) -> set[str]:
     """The files of the package that one imports, also those that it imports when it is used."""
     found = set()
-    for node in ast.walk(tree):
-        if not isinstance(node, ast.ImportFrom) or not node.module:
+    for module, name in imported(tree):
+        if module != package and not module.startswith(f"{package}."):
             continue
-        if node.module != package and not node.module.startswith(f"{package}."):
-            continue
-        module = node.module.removeprefix(package).removeprefix(".")
-        for alias in node.names:
-            inner = f"{module}.{alias.name}".removeprefix(".")
-            found |= {name for name in (inner, module) if name in known}
+        inside = module.removeprefix(package).removeprefix(".")
+        full = f"{inside}.{name}".removeprefix(".")
+        found |= {x for x in (full, inside) if x in known}
     return found
+
+
+def imported(tree) -> list[tuple[str, str]]:
+    """Every module that a file imports from, anywhere in it, and the name that it takes."""
+    pairs = []
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Import):
+            pairs += [(alias.name, "") for alias in node.names]
+        elif isinstance(node, ast.ImportFrom) and node.module:
+            pairs += [(node.module, alias.name) for alias in node.names]
+    return pairs
 
 
 def room_of(name: str) -> str:

@@ -210,9 +210,9 @@ def _simulate(scene, dt, inputs, begin, steps, substeps, scheme, method, options
     )
     base, h_base = clamp_pose(scene)
     grid = method.grid(scene)
-    positions, quaternions = jax.vmap(
-        lambda strain: method.shape(strain, grid, base, h_base)
-    )(strains)
+    positions, quaternions = jax.vmap(lambda strain: method.shape(strain, grid, base, h_base))(
+        strains
+    )
     nodes = method.outputs(grid.s)
     inside = jax.vmap(method.inside)(strains)
     poses = seen(scene, inside, nodes, positions, quaternions)

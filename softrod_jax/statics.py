@@ -1,6 +1,5 @@
 """Static equilibrium of a scene under constant actuation."""
 
-
 import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int

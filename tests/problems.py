@@ -90,9 +90,7 @@ def straight_tendon(tension):
     u = tension * offset / (E * np.pi * r**4 / 4)
     v = 1 - tension / (E * np.pi * r**2)
     tip = (v / u * (1 - np.cos(u * L)), 0.0, v / u * np.sin(u * L))
-    return Problem(
-        f"straight_tendon_{tension:g}", scene, tip, 1e-14, tensions=(tension, 0.0, 0.0)
-    )
+    return Problem(f"straight_tendon_{tension:g}", scene, tip, 1e-14, tensions=(tension, 0.0, 0.0))
 
 
 def offset_chamber():
@@ -100,7 +98,11 @@ def offset_chamber():
     P, area, e = 3e4, 7e-6, 2e-3
     scene = as_arrays(
         sr.Scene(
-            0.1, sr.Circle(6e-3), 0.05e6, 0.49, 1070.0,
+            0.1,
+            sr.Circle(6e-3),
+            0.05e6,
+            0.49,
+            1070.0,
             chambers=sr.Chambers(jnp.array([area]), jnp.array([[e, 0.0]])),
         )
     )
@@ -115,7 +117,12 @@ def hanging_payload():
     mass, L, E, r, rho, g = 0.05, 0.1, 1e6, 6e-3, 1070.0, 9.81
     scene = as_arrays(
         sr.Scene(
-            L, sr.Circle(r), E, 0.49, rho, gravity=jnp.array([0.0, 0.0, g]),
+            L,
+            sr.Circle(r),
+            E,
+            0.49,
+            rho,
+            gravity=jnp.array([0.0, 0.0, g]),
             payload=sr.Payload(mass),
         )
     )

@@ -80,6 +80,21 @@ def test_a_rod_that_hangs_and_is_hardly_stretched():
     assert not hangs(robot(DOWNWARDS), log(STRAIGHT, 0.0, [0, 0, 1]))
 
 
+@pytest.mark.parametrize("unseen", [0, 1, 2])
+def test_a_camera_that_sees_two_coordinates_sees_how_a_log_begins(unseen):
+    """A coordinate that is NaN throughout says nothing, and not that the rod is straight."""
+    blind = np.where(np.arange(3) == unseen, np.nan, 0.0)
+    low = np.array([0.06, 0.0, 0.07])
+    for leaves_at in (0.0, 0.3):
+        for place, towards in ((low, [0, 1, 1]), (STRAIGHT, [1, 0, 1])):
+            whole = log(place, leaves_at, towards)
+            recording = replace(whole, tip_positions=whole.tip_positions + blind)
+            assert hangs(robot(SIDEWAYS), recording) == (place is low)
+            start, rests = start_position(recording)
+            np.testing.assert_allclose(start, np.where(np.isnan(blind), 0.0, place), atol=8e-4)
+            assert rests == (leaves_at > 0)
+
+
 def test_what_was_assumed_is_told():
     recording = log(STRAIGHT, 0.2, [1, 0, 0])
     assert "straight" in beginning(recording, False)

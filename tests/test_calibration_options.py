@@ -103,7 +103,7 @@ def each(three):
         return simulate_motion(*args)
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("calibration.problem.problem.simulate_motion", counted)
+        patch.setattr("calibration.problem.evaluation.simulate_motion", counted)
         found = fit(three, per_recording=NAMES[:1], held_out=three[:1])
     return found, len(traced)
 
@@ -127,7 +127,7 @@ def test_reverse_mode_goes_the_same_way(three, each, monkeypatch):
     """Gradient descent by what recordings share, what each has for itself, and their clocks."""
     options = dict(per_recording=NAMES[:1], optimiser="adam", max_iterations=12)
     forward = fit(three, **options)
-    monkeypatch.setattr("calibration.problem.problem._TANGENTS_A_SWEEP", 1)
+    monkeypatch.setattr("calibration.problem.evaluation._TANGENTS_A_SWEEP", 1)
     directions = []
 
     def noted(problem, *args):

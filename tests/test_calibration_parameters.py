@@ -14,8 +14,9 @@ from calibration.experiment.setup import Setup, rotated
 from calibration.parameters.catalogue import catalogue, choose, prepared, with_values
 from calibration.parameters.scales import Between, Factor, Shift
 from calibration.parameters.unknowns import choose_unknowns
+from calibration.problem.evaluation import predict, reverse_pays
 from calibration.problem.motion import make_batch
-from calibration.problem.problem import Problem, predict, reverse_pays
+from calibration.problem.problem import Problem
 from softrod_jax.scene.scene import as_arrays
 
 CLAMP = np.array([0.9, 0.1, 0.3, -0.2]) / np.linalg.norm([0.9, 0.1, 0.3, -0.2])

@@ -111,9 +111,7 @@ def test_no_recordings():
 @pytest.mark.skipif(not BEAM.exists(), reason="shared/data/beam is absent")
 def test_a_real_beam():
     """Silicone beam, motion capture: the modulus is known, shear damping and drag are not."""
-    scene = beam(
-        young_modulus=2e5, bending_damping=1e-3, drag_coefficient=0.03, shear_damping=0.1
-    )
+    scene = beam(young_modulus=2e5, bending_damping=1e-3, drag_coefficient=0.03, shear_damping=0.1)
     names = ("young_modulus", "bending_damping", "drag_coefficient", "shear_damping")
     fit = calibrate(scene, [load_recording(BEAM, scene)], fit=names, checks=False, progress=False)
     assert fit.rmse_m[BEAM.stem] < 2.3e-4

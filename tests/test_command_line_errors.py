@@ -121,7 +121,7 @@ def test_errors_while_writing(capsys, asked, monkeypatch):
 def test_as_a_process_that_cannot_keep_a_cache(tmp_path):
     """The one test with everything real: float64, an unusable cache, bad input, no traceback."""
 
-# ruff: noqa: F811 - pytest knows fixtures by their names
+    # ruff: noqa: F811 - pytest knows fixtures by their names
     (tmp_path / "file").write_text("")
     environment = {
         **{k: v for k, v in os.environ.items() if not k.startswith("JAX_")},

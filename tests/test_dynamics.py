@@ -13,7 +13,6 @@ from scipy.optimize import brentq, least_squares
 import softrod_jax as sr
 from softrod_jax import dynamics, statics
 from softrod_jax.scene.scene import as_arrays
-from softrod_jax.stepping.time_error import CAUTION
 
 SHARED = Path(__file__).parents[2] / "shared" / "reference"
 
@@ -36,8 +35,9 @@ def fit_ringing(t, x, omegas, zeta):
         w, z = p[:n], p[n:]
         decay = np.exp(-z * w * t[:, None])
         wd = w * np.sqrt(1 - z**2)
-        return np.hstack([decay * np.cos(wd * t[:, None]), decay * np.sin(wd * t[:, None]),
-                          np.ones((len(t), 1))])
+        return np.hstack(
+            [decay * np.cos(wd * t[:, None]), decay * np.sin(wd * t[:, None]), np.ones((len(t), 1))]
+        )
 
     def residual(p):
         A = columns(p)
@@ -143,9 +143,7 @@ def test_a_tenth_of_the_error_of_bdf_alpha_at_equal_cost(alpha, scheme, steps):
 def _gravity_step(scheme, dt):
     """The largest error of the tip over 1 s, against the independent solution; evaluations."""
     path = _reference_cases()["gravity_step"]["trajectory"]
-    scene = with_(
-        sr.hybrid_robot(), gravity=jnp.array([-9.81, 0.0, 0.0]), drag_coefficient=None
-    )
+    scene = with_(sr.hybrid_robot(), gravity=jnp.array([-9.81, 0.0, 0.0]), drag_coefficient=None)
     motion = sr.simulate(scene, dt, steps=round(1 / dt), scheme=scheme)
     answer = CubicSpline(5e-3 * np.arange(len(path["x"])), np.stack([path["x"], path["z"]], axis=1))
     error = np.linalg.norm(motion.tip_positions[:, ::2] - answer(motion.ts), axis=1).max()
@@ -153,9 +151,7 @@ def _gravity_step(scheme, dt):
 
 
 def test_a_long_motion_ends_in_the_equilibrium():
-    scene = with_(
-        sr.hybrid_robot(gravity=jnp.array([-9.81, 2.0, 0.0])), bending_damping=5e-6
-    )
+    scene = with_(sr.hybrid_robot(gravity=jnp.array([-9.81, 2.0, 0.0])), bending_damping=5e-6)
     bdf2 = sr.BDFAlpha(alpha=0.0)  # damps the axial waves, which have no damping of their own
     tensions, pressures = np.tile([0.1, 0.05, 0.0], (400, 1)), np.full((400, 1), 2e4)
     motion = sr.simulate(scene, 0.02, tensions, pressures, scheme=bdf2)
@@ -164,9 +160,7 @@ def test_a_long_motion_ends_in_the_equilibrium():
     np.testing.assert_allclose(motion.positions[-1], rest.positions, atol=1e-8)
     np.testing.assert_allclose(motion.strains[-1], rest.strains, atol=1e-5)
     # And a motion that starts there stays there.
-    still = sr.simulate(
-        scene, 0.02, tensions[:5], pressures[:5], initial=rest, scheme=bdf2
-    )
+    still = sr.simulate(scene, 0.02, tensions[:5], pressures[:5], initial=rest, scheme=bdf2)
     np.testing.assert_allclose(still.tip_positions, jnp.tile(rest.tip_position, (6, 1)), atol=1e-9)
 
 
@@ -181,20 +175,16 @@ def test_tip_velocity_is_the_rate_of_the_tip():
 @pytest.mark.parametrize("scheme", [sr.BDFAlpha(), sr.BDFAlpha(-0.2), sr.SDIRK(4)], ids=str)
 @pytest.mark.skipif(not _reference_cases(), reason="shared/reference/dynamic.json is absent")
 def test_the_estimated_error_in_time(scheme):
-    """Not below the true one, and not over ten times it, but for its factor of caution."""
+    """Not below the true one, and not over twelve times it, with its factor of caution of 1.3."""
     path, dt = _reference_cases()["gravity_step"]["trajectory"], 1e-2
-    scene = with_(
-        sr.hybrid_robot(), gravity=jnp.array([-9.81, 0.0, 0.0]), drag_coefficient=None
-    )
+    scene = with_(sr.hybrid_robot(), gravity=jnp.array([-9.81, 0.0, 0.0]), drag_coefficient=None)
     motion = sr.simulate(scene, dt, steps=100, scheme=scheme)
     error = np.abs(np.array(motion.tip_positions[:, 0]) - np.array(path["x"])[::2]).max() / 0.1
-    assert error < motion.stats["time_error"][-1] < 10 * CAUTION * error
+    assert error < motion.stats["time_error"][-1] < 12 * error
 
 
 def test_a_tolerance_is_kept():
-    scene = with_(
-        sr.hybrid_robot(), gravity=jnp.array([-9.81, 0.0, 0.0]), drag_coefficient=None
-    )
+    scene = with_(sr.hybrid_robot(), gravity=jnp.array([-9.81, 0.0, 0.0]), drag_coefficient=None)
     run = lambda **options: sr.simulate(scene, 0.03, steps=10, **options)
     motion, refined = run(tolerance=1e-4), run(substeps=30)
     error = np.abs(motion.tip_positions - refined.tip_positions).max() / 0.1
@@ -280,6 +270,7 @@ def test_other_numbers_compile_nothing_new(monkeypatch):
     """A program is made once for each combination of parts, settings and number of steps."""
     traced = []
     for module, name in ((dynamics, "march"), (statics, "solve_boundary_value")):
+
         def counted(*arguments, original=getattr(module, name), **options):
             traced.append(1)
             return original(*arguments, **options)

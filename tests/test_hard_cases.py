@@ -112,9 +112,7 @@ def test_energy_over_a_thousand_periods():
 
     The first step, backward Euler, takes 4 % (the fast modes' share); then nothing is lost.
     """
-    bare = with_(
-        ROBOT, bending_damping=None, drag_coefficient=None, tendons=None, chambers=None
-    )
+    bare = with_(ROBOT, bending_damping=None, drag_coefficient=None, tendons=None, chambers=None)
     pulled = with_(bare, tip_load=sr.TipLoad(force=jnp.array([0.05 * EI / 0.01, 0.0, 0.0])))
     start = sr.solve_static(pulled)
     rho_A = 1070 * np.pi * 6e-3**2

@@ -295,9 +295,9 @@ def _several(strategy, count=3):
 
 
 _batch = jax.jit(
-    lambda scene, rest, drives: jax.vmap(
-        lambda drive: move(scene, rest, **drive, throw=False)
-    )(drives)
+    lambda scene, rest, drives: jax.vmap(lambda drive: move(scene, rest, **drive, throw=False))(
+        drives
+    )
 )
 
 
@@ -422,6 +422,4 @@ def test_a_long_damped_motion_ends_in_the_equilibrium(scene, drive):
     as_given = dict(substeps=1, max_time_error=jnp.inf)
     motion = sr.simulate(scene, 0.05, tensions, pressures, scheme=sr.BDFAlpha(0.0), **as_given)
     rest = sr.solve_static(scene, tensions[0], pressures[0])
-    np.testing.assert_allclose(
-        motion.positions[-1], rest.positions, rtol=0, atol=1e-6 * LENGTH
-    )
+    np.testing.assert_allclose(motion.positions[-1], rest.positions, rtol=0, atol=1e-6 * LENGTH)

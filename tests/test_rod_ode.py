@@ -74,9 +74,7 @@ def test_total_wrench_form_equals_the_papers(seed):
         y_s = rod_ode(y, rod, layout, history, guess).y_s
         here = y + ds * y_s
         h, q, w, N, M = layout.split(here)
-        x, _ = recover_strain(
-            local_problem(rod, here[-6:], history.c0, history.strain), guess
-        )
+        x, _ = recover_strain(local_problem(rod, here[-6:], history.c0, history.strain), guess)
         v, u = x[:3], x[3:]
         v_t, u_t = history.c0 * v + history.strain[:3], history.c0 * u + history.strain[3:]
         R = rotation_matrix(h)
@@ -236,21 +234,38 @@ def test_absent_parts_are_not_in_the_program():
         rod = make_rod(scene, tensions, None)
         layout = Layout(attitude=rod.has_dead_load, dynamic=True)
         y, history = jnp.ones(layout.size), History(jnp.ones(()), jnp.ones(6), jnp.ones(6))
-        jaxpr = jax.make_jaxpr(
-            lambda y: rod_ode(y, rod, layout, history, jnp.ones(6)).y_s
-        )(y)
+        jaxpr = jax.make_jaxpr(lambda y: rod_ode(y, rod, layout, history, jnp.ones(6)).y_s)(y)
         return len(jaxpr.eqns), layout.size
 
     bare = full_scene(
-        gravity=None, tip_load=None, payload=None, drag_coefficient=None, shear_damping=None,
-        bending_damping=None, tendons=None, chambers=None,
+        gravity=None,
+        tip_load=None,
+        payload=None,
+        drag_coefficient=None,
+        shear_damping=None,
+        bending_damping=None,
+        tendons=None,
+        chambers=None,
     )
     n_bare, size_bare = count(bare, None)
     assert size_bare == 12
     for name in ("gravity", "drag_coefficient", "shear_damping", "bending_damping"):
-        with_part = full_scene(**{k: getattr(bare, k) for k in (
-            "gravity", "tip_load", "payload", "drag_coefficient", "shear_damping",
-            "bending_damping", "tendons", "chambers") if k != name})
+        with_part = full_scene(
+            **{
+                k: getattr(bare, k)
+                for k in (
+                    "gravity",
+                    "tip_load",
+                    "payload",
+                    "drag_coefficient",
+                    "shear_damping",
+                    "bending_damping",
+                    "tendons",
+                    "chambers",
+                )
+                if k != name
+            }
+        )
         n, size = count(with_part, None)
         assert n > n_bare, name
         assert size == (16 if name == "gravity" else 12)

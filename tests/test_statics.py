@@ -33,9 +33,7 @@ def test_order_of_convergence(order):
     gravity = jnp.array([-4.0, 2.0, 1.0])
     scene = sr.hybrid_robot(gravity=gravity)
     tips = {
-        n: sr.solve_static(
-            scene, (0.1, 0.02, 0.0), method=sr.Collocation(n, order)
-        ).tip_position
+        n: sr.solve_static(scene, (0.1, 0.02, 0.0), method=sr.Collocation(n, order)).tip_position
         for n in ((6, 12, 48) if order == 4 else (3, 6, 24))
     }
     coarse, middle, fine = tips.values()

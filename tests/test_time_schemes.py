@@ -63,7 +63,8 @@ def test_the_local_error_falls_with_the_order(order, stages):
     matrix, y0 = jnp.array([[-0.1, 3.0], [-3.0, -0.2]]), jnp.array([1.0, 0.5])
     scheme = sr.SDIRK(order, stages)
     solve = lambda c0, history, at, carry: (
-        jnp.linalg.solve(matrix - c0 * jnp.eye(2), history), carry
+        jnp.linalg.solve(matrix - c0 * jnp.eye(2), history),
+        carry,
     )
     sizes = []
     for dt in (0.02, 0.01):
@@ -133,12 +134,17 @@ def test_a_restart_keeps_second_order_after_a_jump():
     exact = jax.scipy.linalg.expm(matrix) @ y0
 
     def errors(restart):
-        return np.array([
-            float(jnp.abs(
-                integrate(sr.BDFAlpha(alpha=-0.2), matrix, y0, 1 / n, n, restart)[-1] - exact
-            ).max())
-            for n in (40, 80, 160)
-        ])
+        return np.array(
+            [
+                float(
+                    jnp.abs(
+                        integrate(sr.BDFAlpha(alpha=-0.2), matrix, y0, 1 / n, n, restart)[-1]
+                        - exact
+                    ).max()
+                )
+                for n in (40, 80, 160)
+            ]
+        )
 
     np.testing.assert_allclose(np.log2(errors(False)[:-1] / errors(False)[1:]), 1.0, atol=0.1)
     np.testing.assert_allclose(np.log2(errors(True)[:-1] / errors(True)[1:]), 2.0, atol=0.15)
@@ -155,9 +161,14 @@ def test_jumps():
     assert int(found[:, 0].sum()) == 1 and int(found[:, 1].sum()) >= 2
 
 
-@pytest.mark.parametrize("bad", [
-    lambda: sr.BDFAlpha(alpha=0.1), lambda: sr.SDIRK(order=5), lambda: sr.SDIRK(3, stages=5),
-])
+@pytest.mark.parametrize(
+    "bad",
+    [
+        lambda: sr.BDFAlpha(alpha=0.1),
+        lambda: sr.SDIRK(order=5),
+        lambda: sr.SDIRK(3, stages=5),
+    ],
+)
 def test_bad_schemes(bad):
     with pytest.raises(ValueError, match="alpha|order|stages"):
         bad()

@@ -1,6 +1,6 @@
 """MuJoCo's cable: capsules or cylinders joined by ball joints, inextensible and unshearable.
 
-    echo | python benchmarks/peers/mujoco_cable.py --segments 40 --dt 2e-3
+echo | python benchmarks/peers/mujoco_cable.py --segments 40 --dt 2e-3
 """
 
 import argparse

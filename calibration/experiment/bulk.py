@@ -11,6 +11,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 import softrod_jax as sr
+from softrod_jax.rod.energies import stiffness_at_rest
 
 Scalar = Float[Array, ""]
 
@@ -37,7 +38,10 @@ def bulk(scene: sr.Scene) -> Bulk:
             section, measured = segment.section_at(place), segment.stiffness
             ds = weight * segment.length
             lever = (length - start - place * segment.length) / length
-            if measured is None:
+            if scene.material is not None:
+                K_se, K_bt = stiffness_at_rest(scene.material, *segment.rest_strain)
+                EI, EA = K_bt[:2], K_se[2]
+            elif measured is None:
                 EI = segment.young_modulus * section.second_moments
                 EA = segment.young_modulus * section.area
             else:

@@ -106,7 +106,7 @@ def ramps(
 
 
 def drifts(course: Mapping[str, np.ndarray], clock: Clock) -> dict[str, Drift]:
-    """By channel, from a recording's course, see `calibration.problem.problem`."""
+    """By channel, from a recording's course, see `calibration.problem.evaluation`."""
     found = {}
     for name, windows in clock.windows.items():
         steps = course[name][:windows]

@@ -46,6 +46,7 @@ def held(
     u = jnp.clip(dt * jnp.arange(steps + 1) / duration, 0.0, 1.0)
     impulse = duration * u * (1 - u * u * (1 - u / 2))
     tension = moment / offset * jnp.diff(impulse) / dt
-    hand = sr.Tendons((-offset * across / size)[None])
+    # A hand is outside the rod.
+    hand = sr.Tendons((-offset * across / size)[None], guided="disks")
     supported = eqx.tree_at(lambda s: s.tendons, scene, hand, is_leaf=lambda x: x is None)
     return supported, tension[:, None]

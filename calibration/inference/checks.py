@@ -12,7 +12,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from calibration.experiment.alignment import Alignment
-from calibration.problem.problem import Point, Problem, losses_by_delay, residuals_in
+from calibration.problem.evaluation import losses_by_delay, residuals_in
+from calibration.problem.problem import Point, Problem
 from calibration.search.start import in_time
 
 _CLOCK_STEPS = 4

@@ -20,8 +20,9 @@ import softrod_jax as sr
 from calibration.data.recording import Recording
 from calibration.data.selection import Selection
 from calibration.inference.uncertainty import IDENTIFIED, Uncertainty
+from calibration.problem.evaluation import predict
 from calibration.problem.motion import Motion, make_batch, sample_interval
-from calibration.problem.problem import Point, Problem, predict
+from calibration.problem.problem import Point, Problem
 
 # What an error of the tip may be, rms, in lengths of the rod, by default; of what moves less than
 # that, this part of the motion. An error along the rod falls with the sixth power of the intervals,

@@ -22,6 +22,7 @@ class Start:
     rms: float
     result: str
 
+
 # Half the width of the span from which the starts of a multi-start are drawn: one decade.
 _SPAN = np.log(10.0)
 _SPAN_OTHERS = 2.0

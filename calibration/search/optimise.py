@@ -28,8 +28,8 @@ _FIRST_DAMPING, _LARGEST_DAMPING, _GROWTH = 1e-2, 1e10, 4.0
 _PATIENCE, _LEAST_GAIN = 8, 0.1
 
 # Up to so many parameters Levenberg-Marquardt is the faster, by the costs in
-# `calibration.problem.problem`: it takes a tenth of the evaluations, and a parameter costs each of
-# them a forward tangent.
+# `calibration.problem.evaluation`: it takes a tenth of the evaluations, and a parameter costs each
+# of them a forward tangent.
 MANY = 80
 
 

@@ -8,7 +8,8 @@ coarse search over factors of the modulus and the damping.
 import numpy as np
 
 from calibration.experiment.bulk import bulk
-from calibration.problem.problem import Point, Problem, losses_by_delay
+from calibration.problem.evaluation import losses_by_delay
+from calibration.problem.problem import Point, Problem
 from calibration.search.progress import Report
 
 # Factors of the coarse search. The tip of a rod that rings for n periods is in phase only within

@@ -215,7 +215,11 @@ class Collocation(AbstractMethod):
             moves.append(beside(1 - v, v) + sum(a * G_j for a, G_j in zip(x, G)))
             G.append(A_r @ moves[-1])
         ends = beside(-1, 1) - sum(b * G_r for b, G_r in zip(formula.b, G))
-        strains = None if rod.explicit_strains else (at.compliance, at.wrench, rod.grid)
+        strains = None
+        if not rod.explicit_strains:
+            whole = rod.grid.division is None
+            by_wrench = rod.grid.h * at.wrench if whole else self._times(rod.grid, at.wrench)
+            strains = at.compliance, by_wrench
         left, right = jnp.split(ends, 2, axis=-1)
         if rod.at_gaps is not None:
             slope = self._at_gaps(y, rod, layout, history).by_base_part
@@ -228,8 +232,12 @@ class Collocation(AbstractMethod):
         formula, (A, _, strains) = self._formula, inner
         df = [0.0] * (2 + len(A))  # times h
         if strains is not None:
-            _, by_wrench, grid = strains
-            df = self._times(grid, -apply_each(by_wrench, residual.forces))
+            _, by_wrench = strains
+            if isinstance(by_wrench, list):  # of stages, where intervals have their own lengths
+                forces = self._by_stage(residual.forces)
+                df = [-apply_each(B, x) for B, x in zip(by_wrench, forces)]
+            else:
+                df = self._by_stage(-apply_each(by_wrench, residual.forces))
         dy = []
         for r, (A_r, x) in enumerate(zip(A, formula.x)):
             dy.append(sum(a * df_j for a, df_j in zip(x, df)) - residual.inner[r])

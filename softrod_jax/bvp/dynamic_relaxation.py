@@ -94,6 +94,4 @@ def settle(
     start = _State(at_rest(guess), _STEP * unit, jnp.array(jnp.inf), zero, zero)
     end = jax.lax.while_loop(goes_on, step, start)
     h, _, _, N, M = moving.split(end.guess.y)
-    return Settled(
-        Guess(layout.join(h, N, M), end.guess.strain), end.rate <= _REST, end.steps
-    )
+    return Settled(Guess(layout.join(h, N, M), end.guess.strain), end.rate <= _REST, end.steps)

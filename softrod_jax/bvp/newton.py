@@ -180,9 +180,7 @@ def newton(
     end, factors, _ = jax.lax.while_loop(
         unfinished, with_factors, (start, factors, jnp.array(False))
     )
-    return NewtonResult(
-        end.y, factors, end.result, end.iterations, end.size, end.contraction
-    )
+    return NewtonResult(end.y, factors, end.result, end.iterations, end.size, end.contraction)
 
 
 def no_factors(factorise: Callable, y):

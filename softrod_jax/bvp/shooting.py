@@ -136,9 +136,9 @@ class Shooting(AbstractMethod):
         moved = correct(finer.residual(U, dense, layout, None, between))
         better = finer.fields(U + moved, dense, layout, None, between).strain
         coarse = self.fields(U, rod, layout, None, guess).strain
-        tip = lambda method, strain, rod: method.shape(
-            full_strain(strain, rod), rod.grid, *ORIGIN
-        )[0][-1]
+        tip = lambda method, strain, rod: method.shape(full_strain(strain, rod), rod.grid, *ORIGIN)[
+            0
+        ][-1]
         moved = tip(finer, better, dense) - tip(self, coarse, rod)
         return CAUTION * jnp.linalg.norm(moved) / rod.L
 

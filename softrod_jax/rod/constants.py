@@ -256,7 +256,7 @@ def _along(scene: Scene, grid: Grid) -> _Body:
     start, bodies = 0.0, []
     for segment in segments:
         x = (grid.s - start) / segment.length
-        bodies.append(_body(segment, jnp.clip(x, 0.0, 1.0), scene.inextensible, scene.material))
+        bodies.append(_body(segment, jnp.clip(x, 0.0, 1.0), scene))
         start = start + segment.length
     if len(segments) == 1:
         return bodies[0]
@@ -285,24 +285,25 @@ _SOURCES = {
 }
 
 
-def _body(segment: Segment, x: Float[Array, "points"], inextensible: bool, material) -> _Body:
+def _body(segment: Segment, x: Float[Array, "points"], scene: Scene) -> _Body:
     """The numbers of a segment; `x`: the parts of its length at which the points are."""
 
     def at(x):
         """Of a section whose dimensions change linearly."""
         mix = lambda a, b: (1 - x) * a + x * b
         section = jax.tree.map(mix, segment.section, segment.section_at_end)
-        return _stiffness_and_mass(segment, section, material)
+        return _stiffness_and_mass(segment, section, scene)
 
     if segment.section_at_end is None:
-        K_se, K_bt, rho_A, rho_J = _stiffness_and_mass(segment, segment.section, material)
+        K_se, K_bt, rho_A, rho_J = _stiffness_and_mass(segment, segment.section, scene)
     else:
         K_se, K_bt, rho_A, rho_J = jax.vmap(at)(x)
+    v_star, u_star = segment.rest_strain
     return _Body(
-        K_se=None if inextensible else K_se,
+        K_se=None if scene.inextensible else K_se,
         K_bt=K_bt,
-        v_star=_or(segment.rest_stretch, (0.0, 0.0, 1.0)),
-        u_star=_or(segment.rest_curvature, (0.0, 0.0, 0.0)),
+        v_star=v_star,
+        u_star=u_star,
         rho_A=rho_A,
         rho_J=rho_J,
         B_se=_diagonal(segment.shear_damping),
@@ -345,31 +346,40 @@ def _selected(values, number):
     return chosen
 
 
-def _stiffness_and_mass(segment: Segment, section, material):
-    """K_se (or None), K_bt, rho_A and rho_J where this is a segment's section."""
+def _stiffness_and_mass(segment: Segment, section, scene: Scene):
+    """K_se (None if inextensible), K_bt, rho_A and rho_J where this is a segment's section."""
     I = section.second_moments
     if segment.linear_density is None:
         rho, rho_A = segment.density, segment.density * section.area
     else:
         rho, rho_A = segment.linear_density / section.area, segment.linear_density
-    measured = segment.stiffness
+    measured, material = segment.stiffness, scene.material
     if material is not None:
-        v = _or(segment.rest_stretch, (0.0, 0.0, 1.0))
-        K_se, K_bt = stiffness_at_rest(material, v, _or(segment.rest_curvature, (0.0, 0.0, 0.0)))
+        K_se, K_bt = stiffness_at_rest(material, *segment.rest_strain)
     elif measured is None:
-        E = segment.young_modulus
-        G = E / (2 * (1 + segment.poisson_ratio))
-        K_bt = jnp.stack([E * I[0], E * I[1], G * section.torsion_constant])
-        kGA = G * section.area
-        if segment.shear_correction is not None:
-            kGA = segment.shear_correction * kGA
-        K_se = jnp.stack([kGA, kGA, E * section.area])
+        K_se, K_bt = _of_moduli(segment, section, scene)
     else:
         K_bt = jnp.append(measured.bending, measured.torsion)
         K_se = None
         if measured.axial is not None and measured.shear is not None:
             K_se = jnp.append(measured.shear, measured.axial)
     return K_se, K_bt, jnp.reshape(rho_A, 1), rho * jnp.stack([I[0], I[1], I[0] + I[1]])
+
+
+def _of_moduli(segment: Segment, section, scene: Scene):
+    """K_se, or None if inextensible, and K_bt of an isotropic material."""
+    E, I = segment.young_modulus, section.second_moments
+    if scene.inextensible and scene.plane is not None:
+        # Nothing is sheared or twisted: the shear modulus is in no equation.
+        return None, jnp.stack([E * I[0], E * I[1], jnp.zeros(())])
+    G = E / (2 * (1 + segment.poisson_ratio))
+    K_bt = jnp.stack([E * I[0], E * I[1], G * section.torsion_constant])
+    if scene.inextensible:
+        return None, K_bt
+    kGA = G * section.area
+    if segment.shear_correction is not None:
+        kGA = segment.shear_correction * kGA
+    return jnp.stack([kGA, kGA, E * section.area]), K_bt
 
 
 def _active(scene: Scene, grid: Grid, actuators):

@@ -23,7 +23,7 @@ from softrod_jax.scene.ranges import ANY, Number, fields_of, numbers_of
 from softrod_jax.scene.scene import Scene, as_arrays, map_numbers, total_length, with_total_length
 
 
-class _Part(NamedTuple):
+class Part(NamedTuple):
     """A number or an array of a scene, by its key in a scene file, and its range."""
 
     key: str
@@ -147,14 +147,14 @@ def harmless_unless(good: Bool[Array, ""], scene: Scene) -> Scene:
     return with_total_length(jax.tree.unflatten(structure, leaves))
 
 
-def parts_of(module: eqx.Module, prefix: str = "rod") -> list[_Part]:
+def parts_of(module: eqx.Module, prefix: str = "rod") -> list[Part]:
     """All numbers, in the order of `jax.tree.leaves`."""
     parts = []
     for key, number, value in _fields(module, prefix):
         if isinstance(value, eqx.Module):
             parts += parts_of(value, key)
         else:
-            parts.append(_Part(key, number, value))
+            parts.append(Part(key, number, value))
     return parts
 
 
@@ -199,7 +199,7 @@ def _is_row(value) -> bool:
     return isinstance(value, tuple | list) and any(isinstance(x, eqx.Module) for x in value)
 
 
-def _unfit(part: _Part) -> Iterator[tuple[str, Any]]:
+def _unfit(part: Part) -> Iterator[tuple[str, Any]]:
     """Its key and value if it cannot be; of an array with a row an actuator, those of the row."""
     shown, known = part.value, not _is_traced(part.value)
     try:

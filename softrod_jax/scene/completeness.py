@@ -81,7 +81,9 @@ def _material(scene: Scene) -> Iterator[Breach]:
 def _needed(scene: Scene, key: str, part, own) -> Iterator[Breach]:
     ranges, measured = numbers_of(Scene), part.stiffness
     where = "" if own is scene else ", here or in [rod]"
-    if measured is None:
+    if scene.material is not None:
+        pass  # it has moduli of its own
+    elif measured is None:
         for name in ("young_modulus", "poisson_ratio"):
             if getattr(part, name) is None:
                 yield f"{key}.{name}", None, f"expected {ranges[name]}{where}; or stiffness"

@@ -2,6 +2,7 @@
 
 import equinox as eqx
 import jax
+import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from softrod_jax.scene.ranges import number
@@ -62,6 +63,13 @@ class Segment(eqx.Module):
             isinstance(count, bool) or not isinstance(count, int) or count < 1
         ):
             raise ValueError(f"Segment: intervals={count!r}; a whole number from 1 is needed")
+
+    @property
+    def rest_strain(self) -> tuple[Float[Array, "3"], Float[Array, "3"]]:
+        """Stretch v* and curvature u* of the unloaded segment."""
+        v, u = self.rest_stretch, self.rest_curvature
+        straight = jnp.array([0.0, 0.0, 1.0])
+        return straight if v is None else v, jnp.zeros(3) if u is None else u
 
     def section_at(self, x):
         """The section at the part `x` of its length, or at several; dimensions change linearly."""

@@ -116,9 +116,7 @@ def search_by_inertia(equations: Equations, options: NewtonOptions, U, before: B
 
     zero, none = jnp.zeros((), jnp.int32), jnp.zeros(())
     found = Found(zero, zero, none, none, zero, jnp.array(True))
-    start = _Way(
-        none, jnp.array(_GOAL), U, found, before.borrowed.factors, zero, jnp.array(True)
-    )
+    start = _Way(none, jnp.array(_GOAL), U, found, before.borrowed.factors, zero, jnp.array(True))
     end = jax.lax.while_loop(lambda state: state.running, attempt, start)
     whole = (end.found.result != RESULTS.successful) | (end.done >= _GOAL)
     result = jnp.where(whole, end.found.result, RESULTS.diverged).astype(jnp.int32)

@@ -216,8 +216,9 @@ def make_stepping(scene, dt, actuation, begin, substeps, scheme, method, options
 
         new_memory, after, errors = scheme.step(memory, coefficients, solve, running)
         fields, errors = jax.lax.stop_gradient((new_memory[0], errors))
-        time_error = accumulated(
-            running.time_error, errors, part * dt, fields.strain, rod, method
+        # Roots in the estimate have no slope at zero, and nothing is differentiated through it.
+        time_error = jax.lax.stop_gradient(
+            accumulated(running.time_error, errors, part * dt, fields.strain, rod, method)
         )
         # After a failure the rod is held where it was: its numbers stay finite.
         ok = after.result == RESULTS.successful
@@ -283,9 +284,7 @@ def make_stepping(scene, dt, actuation, begin, substeps, scheme, method, options
     def step(state, row):
         memory, running = state
         coefficients, course = row
-        running = running._replace(
-            iterations=jnp.zeros((), jnp.int32), correction=jnp.zeros(())
-        )
+        running = running._replace(iterations=jnp.zeros((), jnp.int32), correction=jnp.zeros(()))
         if isinstance(substeps, LocalError):
             state, count = substeps_by_error(course, (memory, running))
         else:

@@ -37,7 +37,9 @@ _STEPS_PER_RADIAN = 2
 _KEPT, _ROUGH = 2e-3, 1e-4
 # The estimate of one motion may be too small by this factor. From there up to the limit, this many
 # times as many substeps must not move the tip by more than this part of the limit.
-_DOUBTFUL, _TIMES, _CONFIRMS = 0.52, 4, 0.3
+_DOUBTFUL, _TIMES, _CONFIRMS = 0.4, 4, 0.3
+# Of two motions, the one with this many times as many substeps may confirm the other.
+_MORE = 1.25
 # Motions with more and more care at most, where no accuracy is asked for.
 _TRIES = 3
 # A finer grid is of no use where it does not lower that estimate by this: fronts are rough on any.
@@ -104,6 +106,8 @@ def _with_more_care(run, rod, first, care, method, fixed_grid, tolerance, enough
             continue
         if good is not None:
             error = _apart(last, good, rod)
+            if not _is_finer(last, good):
+                error = np.maximum(error, np.asarray(last.stats["time_error"]))
             excess = error[-1] / tolerance
             # A front is rough on any grid, and then only another grid can tell.
             if error[-1] <= enough and (method != good_method or _is_smooth(last, method)):
@@ -139,20 +143,19 @@ def run_checked(
     moving = int(motion.result) in (RESULTS.successful, RESULTS.inaccurate)
     if not (estimate > _DOUBTFUL * limit and moving and _is_smooth(motion, method)):
         return _with(motion, None, method)
+    least = np.zeros(motion.stats["time_error"].shape)
     if estimate <= limit:
         other = unjudged(jnp.array(_TIMES * substeps), method)
-        if other.result == RESULTS.successful and (
-            _apart(motion, other, rod)[-1] <= _CONFIRMS * limit
-        ):
-            return _with(motion, None, method)
+        if other.result == RESULTS.successful:
+            least = _apart(motion, other, rod)
+            if least[-1] <= _CONFIRMS * limit:
+                return _with(motion, None, method)
     judged = lambda error, **more: _judged(_with(motion, error, method, **more), limit)
     care = _first_care(rod, dt, scheme, _TIMES * substeps, _KEPT)
     fine = unjudged(care, method)
     if fine.result == RESULTS.successful:
-        # Substeps that errors choose keep the limit that they are given.
         left = np.asarray(fine.stats["time_error"])
-        left = np.minimum(left, _KEPT) if isinstance(care, LocalError) else left
-        error = _apart(motion, fine, rod) + left
+        error = np.maximum(_apart(motion, fine, rod) + left, least)
         if error[-1] <= limit:
             return judged(error)
     found, error, method_found, agrees = _with_more_care(
@@ -173,6 +176,15 @@ def _apart(motion, other, rod: Rod):
     """How far the tips of two motions have been apart, (steps,), in lengths."""
     moved = np.linalg.norm(motion.tip_positions - other.tip_positions, axis=-1)[1:]
     return np.maximum.accumulate(moved) / float(rod.L)
+
+
+def _is_finer(motion, other) -> bool:
+    """Whether a motion has clearly more substeps than another: else that they agree says nothing.
+
+    Local errors that are too small to divide a step may still add up.
+    """
+    count = lambda motion: int(np.sum(motion.stats["substeps"]))
+    return count(motion) >= _MORE * count(other)
 
 
 def advice(motion, dt: float, limit: float) -> str:

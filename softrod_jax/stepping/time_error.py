@@ -2,8 +2,9 @@
 
 Every step makes a local error, in modes of the rod that it resolves and in those that it does not.
 An oscillation turns a local error about but does not undo it: local errors are added up by
-their size, and not as vectors. What damping makes a rod forget is forgotten. The estimate is thus a
-cautious one, and costs a few operations along the rod a step.
+their size, and not as vectors. What damping makes a rod forget is forgotten, and what a moment in
+space makes grow has grown. The estimate is thus a cautious one, and costs a few operations along
+the rod a step.
 """
 
 import jax.numpy as jnp
@@ -21,9 +22,11 @@ from softrod_jax.stepping.schemes import LocalErrors
 # errors were large (motions of `benchmarks/judge_motion.py`, judged by an independent code).
 _DOUBLES = 0.1
 # Of 144 judged motions the least estimate without this factor was 0.32 of the error.
-CAUTION = 1.3
+_CAUTION = 1.3
 # Of the slowest decay of a bending mode, the part that is believed.
 _BELIEVED = 0.7
+# The slope at the tip of a cantilever's first mode, in tip displacements per length.
+_SLOPE = 1.3765
 # The part of a rod's mass that counts at the tip in the first mode of a cantilever.
 EFFECTIVE_MASS = 0.2427
 
@@ -40,25 +43,30 @@ def accumulated(total, errors: LocalErrors, dt, strain, rod: Rod, method: Abstra
     Of the estimates of one local error the smallest is taken: each is about as large as the
     error, or larger.
     """
-    pose = method.shape(full_strain(strain, rod), rod.grid, *ORIGIN)
+    clamp = rod.h_base if rod.plane is None else ORIGIN[1]
+    _, attitude = method.shape(full_strain(strain, rod), rod.grid, ORIGIN[0], clamp)
+    tangent = to_base(attitude, method.outputs(full_strain(strain, rod))[:, :3])
     moved = [
-        largest_displacement(error[0], strain, pose[1], rod, method)
+        largest_displacement(error[0], tangent, attitude, rod, method)
         for error in (errors.lower, errors.difference)
         if error is not None
     ]
-    forgotten = jnp.exp(-_BELIEVED * slowest_decay(rod) * dt)
-    return forgotten * total + jnp.min(jnp.stack(moved), axis=0)
+    # What grows by more in a step is an oscillation that the scheme damps out.
+    changed = jnp.exp(jnp.minimum(rate_of_change(rod, tangent) * dt, 1.0))
+    return changed * total + jnp.min(jnp.stack(moved), axis=0)
 
 
 def grown(total) -> Float[Array, ""]:
     """The estimate with what the local errors of `accumulated` have become since they were made."""
-    return CAUTION * total * (1 + total / _DOUBLES)
+    return _CAUTION * total * (1 + total / _DOUBLES)
 
 
 def largest_displacement(
-    change, strain, attitude, rod: Rod, method: AbstractMethod
+    change, tangent, attitude, rod: Rod, method: AbstractMethod
 ) -> Float[Array, ""]:
     """How far a small `change` of the strains (points, n) moves a point of the rod, in lengths.
+
+    `tangent` (nodes, 3) and `attitude` (nodes, 4) of the rod are in the base frame.
 
     The maximum along the rod and not the tip's: modes whose displacements of the tip cancel now
     do not cancel later.
@@ -67,7 +75,6 @@ def largest_displacement(
         stretch = jnp.zeros((change.shape[0], rod.v_star.shape[-1]))
         change = jnp.concatenate([stretch, change], -1)
     change = method.outputs(in_space(change, rod.plane))
-    tangent = to_base(attitude, method.outputs(full_strain(strain, rod))[:, :3])
     grid = rod.grid
     spacing = rod.L / (change.shape[0] - 1)
     if grid.division is not None:
@@ -77,16 +84,41 @@ def largest_displacement(
     return jnp.sqrt(jnp.max(jnp.sum(moved * moved, -1))) / rod.L
 
 
-def slowest_decay(rod: Rod) -> Float[Array, ""]:
-    """The rate [1/s] at which damping makes the first bending mode forget; 0 without damping.
+def rate_of_change(rod: Rod, tangent: Float[Array, "nodes 3"]) -> Float[Array, ""]:
+    """The rate [1/s] at which an error in the first bending mode grows or, below 0, is forgotten.
 
-    Where that mode creeps, the rate at which it does.
+    A moment of fixed direction has no potential in space (Ziegler, Principles of Structural
+    Stability, 1968). What of it points along the rod's `tangent` couples that mode in two planes
+    by a skew matrix: a rod that is not damped flutters under any. With x in one plane and y in the
+    other, (x + iy)_tt + 2 a (x + iy)_t + (omega^2 - i kappa) (x + iy) = 0. A moment on the way
+    counts as if it were at the tip, which is cautious.
     """
     if rod.B_bt is None:
-        return jnp.zeros(())
-    damping = jnp.min(rod.B_bt[..., :2])
-    swings = 1.5 * damping / (rod.L**3 * tip_mass(rod))
-    return jnp.minimum(swings, jnp.min(rod.K_bt[..., :2]) / jnp.maximum(damping, 1e-300))
+        swings = decay = jnp.zeros(())
+    else:
+        damping = jnp.min(rod.B_bt[..., :2])
+        swings = _BELIEVED * 1.5 * damping / (rod.L**3 * tip_mass(rod))
+        # Where the mode creeps, the rate at which it does.
+        creeps = jnp.min(rod.K_bt[..., :2]) / jnp.maximum(damping, 1e-300)
+        decay = jnp.minimum(swings, _BELIEVED * creeps)
+    moments = [] if rod.plane is not None else _moments_along(rod, tangent)
+    if not moments:
+        return -decay
+    along = sum(moments)
+    kappa = 0.5 * _SLOPE**2 * along / (rod.L**2 * tip_mass(rod))
+    square = swings**2 - 3 * jnp.min(rod.K_bt[..., :2]) / (rod.L**3 * tip_mass(rod))
+    root = jnp.sqrt(jnp.maximum(0.5 * (jnp.sqrt(square**2 + kappa**2) + square), 0.0))
+    return jnp.maximum(root - swings, -decay)
+
+
+def _moments_along(rod: Rod, tangent: Float[Array, "nodes 3"]) -> list[Float[Array, ""]]:
+    """The size of what each moment of fixed direction has along the rod where it acts [N m]."""
+    unit = tangent / jnp.sqrt(jnp.sum(tangent * tangent, -1, keepdims=True))
+    moments = [] if rod.M_tip is None else [rod.M_tip @ unit[-1]]
+    for load in rod.at_gaps or ():
+        if load.M is not None and load.frame == "base":
+            moments.append(load.here @ (unit[rod.grid.division.gaps] @ load.M))
+    return [jnp.abs(moment) for moment in moments]
 
 
 def _integral(f: Float[Array, "nodes 3"], spacing) -> Float[Array, "nodes 3"]:
