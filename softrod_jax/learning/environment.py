@@ -23,7 +23,8 @@ from softrod_jax.learning.stepping import Action, Stepper
 from softrod_jax.scene.robots import hybrid_robot
 from softrod_jax.scene.scene import Scene
 from softrod_jax.statics import solve_static
-from softrod_jax.stepping.schemes import AbstractTimeScheme, BDFAlpha
+from softrod_jax.stepping.bdf_alpha import BDFAlpha
+from softrod_jax.stepping.scheme import AbstractTimeScheme
 
 # Bounds of what is observed: the tip and the target, and the tip's velocity, in lengths of the rod
 # and lengths a second.

@@ -26,6 +26,7 @@ from softrod_jax.rod.grid import (
     uniform_grid,
 )
 from softrod_jax.scene.acting import AbstractDistributedLoad, AbstractEnergy
+from softrod_jax.scene.inputs import Inputs
 from softrod_jax.scene.planes import about_normal, angle_in, in_space, turn_in, vector_in
 from softrod_jax.scene.scene import Scene
 from softrod_jax.scene.segments import Segment
@@ -164,19 +165,19 @@ _FRONT_VISCOSITY = 4.0
 
 def make_rod(
     scene: Scene,
-    tensions=None,
-    pressures=None,
+    inputs: Inputs = Inputs(),
     dynamic: bool = True,
     grid: Grid | None = None,
     spread_fronts: bool = False,
 ) -> Rod:
-    """Reduce `scene` under `tensions` [N] (tendons,) and `pressures` [Pa] (chambers,).
+    """Reduce `scene` under `inputs`, one value for each actuator.
 
-    `None` for either leaves that actuator out of the program. `dynamic=False` leaves out what
-    acts on a moving rod only (damping, drag). `grid`: the points where numbers that vary along the
+    `None` for a kind of them leaves it out of the program. `dynamic=False` leaves out what acts on
+    a moving rod only (damping, drag). `grid`: the points where numbers that vary along the
     rod are wanted; a few where nothing is said. `spread_fronts`: fronts that tensions send along a
     moving rod are spread over a few points.
     """
+    tensions, pressures = inputs
     grid = a_few_points(scene) if grid is None else grid
     plane, stretches = scene.plane, not scene.inextensible
     body = _along(scene, grid)
