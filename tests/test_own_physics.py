@@ -12,6 +12,8 @@ import numpy as np
 import pytest
 
 import softrod_jax as sr
+from softrod_jax.rod.constants import make_rod
+from softrod_jax.rod.ode import layout_of
 from softrod_jax.rod.rotations import to_body
 from softrod_jax.scene.scene import as_arrays
 
@@ -201,3 +203,64 @@ def test_continuation_raises_loads_of_ones_own():
     gravity = sr.solve_static(rod(gravity=40 * ACROSS))
     assert int(own.stats["load_steps"]) > 1
     np.testing.assert_allclose(own.tip_position, gravity.tip_position, rtol=0, atol=1e-8)
+
+
+class Bed(sr.AbstractDistributedLoad):
+    """Springs across the rod, k [N/m^2], to the line along z from `origin` (Winkler's bed)."""
+
+    k: jax.Array
+    origin: jax.Array
+    needs_position = True
+
+    def wrench(self, here):
+        off = (here.position - self.origin) * jnp.array([1.0, 1.0, 0.0])
+        return to_body(here.quaternion, -self.k * off), jnp.zeros(3)
+
+
+BED = 4 * EI * (2.5 / L) ** 4
+
+
+def on_a_bed(force, k=BED, **changes):
+    bed = Bed(jnp.asarray(k), np.asarray(changes.get("base_position", np.zeros(3))))
+    load = sr.TipLoad(force=force * np.array([EI / L**2, 0.0, 0.0]))
+    return rod(distributed_loads=(bed,), tip_load=load, **changes)
+
+
+@pytest.mark.parametrize("method", [METHOD, sr.Shooting(4, 10)], ids=["collocation", "shooting"])
+@pytest.mark.parametrize("plane", [None, "xz"])
+def test_a_bed_of_springs_has_its_closed_form(method, plane):
+    """Hetenyi, Beams on Elastic Foundation (1946): a cantilever under a force at its free end."""
+    force = 1e-4
+    scene = on_a_bed(force, inextensible=True, plane=plane, base_position=np.array([0.3, 0.2, 0.1]))
+    tip = sr.solve_static(scene, method=method).tip_position - np.array([0.3, 0.2, 0.1])
+    x = 2.5
+    shape = np.sinh(x) * np.cosh(x) - np.sin(x) * np.cos(x)
+    expected = 2 * force * EI / L**2 * (x / L) / BED * shape / (np.cosh(x) ** 2 + np.cos(x) ** 2)
+    np.testing.assert_allclose(tip[:2], [expected, 0.0], rtol=1e-6, atol=1e-12)
+
+
+def test_a_bed_of_springs_in_motion():
+    """A damped rod comes to rest where statics is; derivatives agree, and a batch is a loop."""
+    damped = dict(bending_damping=2e-6, inextensible=True)
+
+    def tip(force, k):
+        scene = on_a_bed(force, k, **damped)
+        motion = sr.simulate(
+            scene, 0.1, steps=20, method=METHOD, scheme=sr.SDIRK(2), max_time_error=1e9, throw=False
+        )
+        return motion.tip_positions[-1]
+
+    still = sr.solve_static(on_a_bed(5.0, **damped), method=METHOD)
+    assert still.tip_position[0] > 0.1 * L
+    np.testing.assert_allclose(jax.jit(tip)(5.0, BED), still.tip_position, rtol=0, atol=1e-6)
+    by = jax.jit(jax.jacfwd(tip, argnums=(0, 1)))(5.0, BED)
+    reverse = jax.jit(jax.jacrev(tip, argnums=(0, 1)))(5.0, BED)
+    np.testing.assert_allclose(by, reverse, rtol=1e-8, atol=1e-12)
+    batch = jax.jit(jax.vmap(tip, (0, None)))(jnp.array([4.999, 5.001]), BED)
+    np.testing.assert_allclose(by[0], (batch[1] - batch[0]) / 2e-3, rtol=0, atol=1e-5 * L)
+
+
+def test_the_position_is_an_unknown_only_where_a_load_asks():
+    grid = METHOD.grid(rod())
+    size = lambda scene: layout_of(make_rod(scene, grid=grid), dynamic=True).size
+    assert (size(rod()), size(windy()), size(on_a_bed(1.0))) == (12, 16, 19)

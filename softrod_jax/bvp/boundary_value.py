@@ -22,6 +22,7 @@ from softrod_jax.rod.boundary_conditions import tip_condition
 from softrod_jax.rod.constants import Rod
 from softrod_jax.rod.constitutive import shortest_path
 from softrod_jax.rod.ode import History, Layout, sizes
+from softrod_jax.scene.planes import vector_in
 
 # Where a solve fails with less than this left of the rod's length anywhere, or of a tendon's path,
 # that is why.
@@ -91,10 +92,11 @@ class Equations(NamedTuple):
         return self.rod, self.layout, self.history, self.guess
 
     def base(self):
-        """(h, q, omega) at the clamp (paper eq. 13)."""
+        """(p, h, q, omega) at the clamp (paper eq. 13)."""
+        p = vector_in(self.rod.plane, self.rod.p_base)
         h = self.rod.h_base if self.layout.attitude else None
         still = jnp.zeros(self.layout.pair) if self.layout.dynamic else None
-        parts = [x for x in (h, still) if x is not None]
+        parts = [x for x in (p, h, still) if x is not None]
         return jnp.concatenate(parts) if parts else jnp.zeros(0)
 
     def start(self, guess: Guess):

@@ -64,8 +64,8 @@ def dynamic_relaxation(
 
     def at_rest(guess):
         still = jnp.zeros((*guess.y.shape[:-1], layout.pair))
-        h, _, _, N, M = layout.split(guess.y)
-        return Guess(moving.join(h, still, N, M), guess.strain)
+        pose, wrench = jnp.split(guess.y, [layout.pose_size], axis=-1)
+        return Guess(moving.join(pose, still, wrench), guess.strain)
 
     def step(state):
         load = jnp.minimum(1.0, (state.loaded + 1) / _RISE)
@@ -93,5 +93,5 @@ def dynamic_relaxation(
     zero = jnp.zeros((), jnp.int32)
     start = _State(at_rest(guess), _STEP * unit, jnp.array(jnp.inf), zero, zero)
     end = jax.lax.while_loop(goes_on, step, start)
-    h, _, _, N, M = moving.split(end.guess.y)
-    return Rest(Guess(layout.join(h, N, M), end.guess.strain), end.rate <= _REST, end.steps)
+    pose, wrench = end.guess.y[..., : layout.pose_size], end.guess.y[..., -layout.pair :]
+    return Rest(Guess(layout.join(pose, wrench), end.guess.strain), end.rate <= _REST, end.steps)

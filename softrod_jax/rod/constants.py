@@ -65,7 +65,8 @@ class Rod(eqx.Module):
     - `at_gaps`: loads and masses along the rod.
     - `material`, `energies`, `distributed_loads`: those of users, at arc lengths `s`* [m]; the last
       two times `load_factor`.
-    - `h_base`: quaternion of the clamp, (4,).
+    - `h_base`: quaternion of the clamp, (4,). `p_base` [m], (3,): its position, or None where no
+      load depends on the position.
 
     `K_se` is None for an inextensible rod. In a `plane`, (3,) becomes (2,) for v, q, N and (1,)
     for u, omega, M; `h_base` is an angle, (1,).
@@ -79,6 +80,7 @@ class Rod(eqx.Module):
     rho_A: Float[Array, "... 1"]
     rho_J: Float[Array, "... 3"]
     h_base: Float[Array, "4"]
+    p_base: Float[Array, "3"] | None = None
     B_se: Float[Array, "... 3"] | None = None
     B_bt: Float[Array, "... 3"] | None = None
     C: Float[Array, "... 3"] | None = None
@@ -199,6 +201,7 @@ def make_rod(
         rho_A=body.rho_A,
         rho_J=about_normal(plane, body.rho_J),
         h_base=clamp_pose(scene)[1],
+        p_base=clamp_pose(scene)[0] if _position_matters(scene) else None,
         B_se=moving(vector_in(plane, body.B_se)) if stretches else None,
         B_bt=moving(about_normal(plane, body.B_bt)),
         C=moving(vector_in(plane, body.C)),
@@ -227,6 +230,10 @@ def make_rod(
     # Nothing depends on the attitude without dead loads.
     angle = angle_in(plane, rod.h_base) if rod.has_dead_load else jnp.zeros(1)
     return eqx.tree_at(lambda r: r.h_base, rod, angle)
+
+
+def _position_matters(scene: Scene) -> bool:
+    return any(load.needs_position for load in scene.distributed_loads or ())
 
 
 def a_few_points(scene: Scene) -> Grid:

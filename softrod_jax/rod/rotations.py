@@ -104,6 +104,8 @@ def to_body(h: Quaternion, a: Vector) -> Vector:
 
 def to_base(h: Quaternion, a: Vector) -> Vector:
     """R(h) a: a vector of the body frame, seen from the base."""
+    if h.shape[-1] == 1:
+        return to_body(-h, a)
     w, r = h[..., :1], h[..., 1:]
     k = 2 / (w * w + jnp.sum(r * r, -1, keepdims=True))
     c = cross(r, a)
