@@ -241,12 +241,12 @@ def test_a_bed_of_springs_has_its_closed_form(method, plane):
 
 def test_a_bed_of_springs_in_motion():
     """A damped rod comes to rest where statics is; derivatives agree, and a batch is a loop."""
-    damped = dict(bending_damping=2e-6, inextensible=True)
+    damped = dict(bending_damping=5e-6, inextensible=True)
 
     def tip(force, k):
         scene = on_a_bed(force, k, **damped)
         motion = sr.simulate(
-            scene, 0.1, steps=20, method=METHOD, scheme=sr.SDIRK(2), max_time_error=1e9, throw=False
+            scene, 0.1, steps=40, method=METHOD, scheme=sr.SDIRK(2), max_time_error=1e9, throw=False
         )
         return motion.tip_positions[-1]
 
