@@ -153,7 +153,7 @@ def test_derivatives_of_the_defects(method, tensions):
 
 
 def test_single_shooting_finds_a_known_equilibrium():
-    # shared/reference/static.json, g_tau0.3: solved apart from this project, to 1e-15.
+    # references/static.json, g_tau0.3: solved apart from this project, to 1e-15.
     rod = sr.solve_static(robot(), [0.3, 0.0, 0.0], [0.0], method=Shooting())
     tip = [-0.05950139883669897, 0.0, 0.07027684856429334]
     np.testing.assert_allclose(rod.tip_position, tip, atol=1e-6)

@@ -1,6 +1,6 @@
 """Robots of segments, tapers, tendon paths, parts of chambers and loads along the rod.
 
-The numbers in `wider_static.json` are from independent programs: "equilibria" minimise a discrete
+The numbers in `references/wider_static.json` are from independent programs: "equilibria" minimise a discrete
 energy (extrapolated, each with its own error), "sorosim" is a part of the equilibria that the
 repository ContinuumRoboticsLab/opencr-mujoco (MIT) has from SoRoSim, rounded to 0.1 mm.
 """
@@ -17,7 +17,7 @@ import pytest
 import softrod_jax as sr
 from softrod_jax.scene.scene import as_arrays
 
-KNOWN = json.loads((Path(__file__).parent / "wider_static.json").read_text("utf-8"))
+KNOWN = json.loads((Path(__file__).parent / "references" / "wider_static.json").read_text("utf-8"))
 PAPER = dict(
     length=0.1, section=sr.Circle(6e-3), young_modulus=5e4, poisson_ratio=0.49, density=1070.0
 )
