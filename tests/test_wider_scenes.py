@@ -1,8 +1,8 @@
 """Robots of segments, tapers, tendon paths, parts of chambers and loads along the rod.
 
-The numbers in `references/wider_static.json` are from independent programs: "equilibria" minimise a discrete
-energy (extrapolated, each with its own error), "sorosim" is a part of the equilibria that the
-repository ContinuumRoboticsLab/opencr-mujoco (MIT) has from SoRoSim, rounded to 0.1 mm.
+The numbers in `references/wider_static.json` are from independent programs: "equilibria" minimise a
+discrete energy (extrapolated, each with its own error), "sorosim" is a part of the equilibria that
+the repository ContinuumRoboticsLab/opencr-mujoco (MIT) has from SoRoSim, rounded to 0.1 mm.
 """
 
 import json
