@@ -1,4 +1,4 @@
-"""Energies, materials and distributed loads that exist only here: one class each.
+"""Energies, materials, distributed loads and a time scheme that exist only here: one class each.
 
 Each works in statics, motions, derivatives, batches and continuation, and none of it is known to
 the package.
@@ -6,6 +6,7 @@ the package.
 
 import dataclasses
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -16,6 +17,7 @@ from softrod_jax.rod.constants import make_rod
 from softrod_jax.rod.ode import layout_of
 from softrod_jax.rod.rotations import to_body
 from softrod_jax.scene.scene import as_arrays
+from softrod_jax.stepping.scheme import AbstractTimeScheme, LocalErrors, combine
 
 METHOD = sr.Collocation(6)
 L, R, E = 0.1, 6e-3, 5e4
@@ -264,3 +266,48 @@ def test_the_position_is_an_unknown_only_where_a_load_asks():
     grid = METHOD.grid(rod())
     size = lambda scene: layout_of(make_rod(scene, grid=grid), dynamic=True).size
     assert (size(rod()), size(windy()), size(on_a_bed(1.0))) == (12, 16, 19)
+
+
+class BackwardEuler(AbstractTimeScheme):
+    """y_1 = y_0 + dt y_t,1."""
+
+    stages: int = eqx.field(static=True, default=1, init=False)
+    order: int = eqx.field(static=True, default=1, init=False)
+    one_step: bool = eqx.field(static=True, default=False, init=False)
+
+    def coefficients(self, dt, restart):
+        return jnp.broadcast_to(1 / dt, restart.shape)
+
+    def start(self, y, guess):
+        return y, jax.tree.map(jnp.zeros_like, y)
+
+    def step(self, memory, coefficients, solve, carry):
+        (y0, rate0), c0 = memory, coefficients
+        history = jax.tree.map(lambda x: -c0 * x, y0)
+        y, carry = solve(c0, history, 1.0, carry)
+        rate = combine((c0, y), (1.0, history))
+        local = combine((0.5 / c0, rate), (-0.5 / c0, rate0))
+        return (y, rate), carry, LocalErrors(difference=local)
+
+
+def test_a_time_scheme_of_ones_own():
+    """Of first order, with an estimate above its error and derivatives of both kinds."""
+    scene = rod(gravity=ACROSS)
+
+    def end(factor, substeps):
+        motion = sr.simulate(
+            dataclasses.replace(scene, gravity=factor * ACROSS), 0.01, steps=5, substeps=substeps,
+            scheme=BackwardEuler(), method=METHOD, max_time_error=1e9, throw=False,
+        )  # fmt: skip
+        return motion.tip_positions[-1], motion.stats["time_error"][-1]
+
+    run = jax.jit(end, static_argnums=1)
+    right = jax.jit(lambda: sr.simulate(scene, 1e-3, steps=50, method=METHOD, throw=False))()
+    found = [run(1.0, n) for n in (8, 16)]
+    errors = [np.linalg.norm(tip - right.tip_positions[-1]) for tip, _ in found]
+    assert 1.7 < errors[0] / errors[1] < 2.5
+    for error, (_, estimate) in zip(errors, found, strict=True):
+        assert error < L * estimate < 20 * error
+    tip = lambda factor: end(factor, 4)[0]
+    forward, reverse = (jax.jit(by(tip))(1.0) for by in (jax.jacfwd, jax.jacrev))
+    np.testing.assert_allclose(forward, reverse, rtol=1e-9, atol=1e-12)
