@@ -15,7 +15,7 @@ from softrod_jax.bvp.grid_control import (
     needed_intervals,
     solve_within,
 )
-from softrod_jax.bvp.load_continuation import search_by_load
+from softrod_jax.bvp.load_continuation import SAFE_CONTRACTION, search_by_load
 from softrod_jax.bvp.method import AbstractMethod
 from softrod_jax.bvp.newton import NewtonOptions
 from softrod_jax.bvp.unloaded import unloaded_guess
@@ -142,7 +142,9 @@ def _relaxed(scene, inputs, method, options):
     rest = dynamic_relaxation(method, layout, options, rod, guess)
     solved = solve_boundary_value(method, layout, options, rod, None, rest.guess)
     found = solved.found
-    moving = jnp.where(rest.at_rest, found.result, RESULTS.diverged).astype(jnp.int32)
+    # A rod that still creeps is on its way to the stable equilibrium in whose basin it is.
+    arrives = rest.at_rest | (found.stable & (found.contraction < SAFE_CONTRACTION))
+    moving = jnp.where(arrives, found.result, RESULTS.diverged).astype(jnp.int32)
     solved = solved._replace(found=found._replace(result=moving))
     return _solution(scene, rod, method, solved, valid, rest.steps)
 

@@ -5,6 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from problems import beam
+from scipy.integrate import solve_ivp
 from scipy.special import ellipe, ellipk
 
 import softrod_jax as sr
@@ -41,6 +42,61 @@ def test_a_column_pressed_past_buckling():
     assert bool(solution.stats["stable"])
     # The push, a thousandth of the load, bends it a little more.
     np.testing.assert_allclose(solution.tip_position, tip, atol=2e-3)
+
+
+def test_a_payload_a_thousand_times_over_buckling():
+    """It falls over and hangs: the clamp bends the rod back within 2 sqrt(EI / P) (a soliton)."""
+    load, tilt, L, g = 5000.0, 0.02, 0.5, 9.81
+    EI = 1e6 * np.pi * 5e-3**4 / 4
+    scene = sr.Scene(
+        length=L,
+        section=sr.Circle(5e-3),
+        young_modulus=1e6,
+        poisson_ratio=0.3,
+        density=1e-9,
+        inextensible=True,
+        gravity=g * np.array([np.sin(tilt), 0.0, -np.cos(tilt)]),
+        payload=sr.Payload(load * EI / L**2 / g),
+    )
+    solution = sr.solve_static(scene, method=sr.Collocation(96))
+    # The angle to the force is 4 arctan exp(-(s + s0) / size), and pi - tilt at the clamp.
+    size = L / np.sqrt(load)
+    s0 = -size * np.log(np.tan((np.pi - tilt) / 4))
+    far, near = (L + s0) / size, s0 / size
+    along = L - 2 * size * (np.tanh(far) - np.tanh(near))
+    across = 2 * size * (1 / np.cosh(near) - 1 / np.cosh(far))
+    down = np.array([np.sin(tilt), 0.0, -np.cos(tilt)])
+    aside = np.array([np.cos(tilt), 0.0, np.sin(tilt)])
+    assert int(solution.stats["transient_steps"]) > 0
+    # In a layer of one interval and a half.
+    np.testing.assert_allclose(solution.tip_position, along * down + across * aside, atol=2e-5)
+
+
+def test_a_load_path_of_many_turns():
+    """A dead moment of 60 EI / L: M is the same everywhere, so R_s = R (K^-1 R^T M)^ tells all."""
+    L, E = 0.5, 1e6
+    EI = E * np.pi * 5e-3**4 / 4
+    M = 60 * EI / L * np.array([0.3, 0.2, 0.9327])
+    scene = sr.Scene(
+        length=L,
+        section=sr.Circle(5e-3),
+        young_modulus=E,
+        poisson_ratio=0.3,
+        density=1000.0,
+        inextensible=True,
+        tip_load=sr.TipLoad(moment=M),
+    )
+    solution = sr.solve_static(scene)
+
+    def rates(_, y):
+        R = y[3:].reshape(3, 3)
+        u = (R.T @ M) / (EI * np.array([1.0, 1.0, 1 / 1.3]))
+        return np.concatenate([R[:, 2], np.cross(R, u).ravel()])
+
+    start = np.concatenate([np.zeros(3), np.eye(3).ravel()])
+    tip = solve_ivp(rates, (0, L), start, rtol=1e-11, atol=1e-12, method="DOP853").y[:3, -1]
+    assert int(solution.stats["load_steps"]) > 50
+    np.testing.assert_allclose(solution.tip_position, tip, atol=1e-5)
 
 
 @pytest.mark.parametrize("part", [0.5, 0.9, 0.99])

@@ -17,13 +17,15 @@ from softrod_jax.bvp.boundary_value import Equations, scaled_loads, search_direc
 from softrod_jax.bvp.method import AbstractMethod, Guess
 from softrod_jax.bvp.newton import NewtonOptions
 from softrod_jax.foundation.results import RESULTS
-from softrod_jax.rod.constants import Rod
+from softrod_jax.rod.constants import PointLoad, Rod
 from softrod_jax.rod.ode import History, Layout, layout_of
 
 # In units of the rod's own time, L^2 sqrt(rho A / EI): the damping B / K and the time step.
 _DAMPING, _STEP = 0.3, 0.1
-# Steps in which the loads rise, and at most.
-_RISE, _MAX_STEPS = 20, 1500
+# Steps in which the loads rise, and at most. They rise by the same factor in each, from a part so
+# small that any rod bears it: one that is soon over its first critical load would buckle in a
+# higher mode, and wind up.
+_RISE, _LOWEST, _MAX_STEPS = 60, 1e-4, 1500
 # Rest: curvatures that change by less than this many 1/L per unit of time. A disturbance of
 # 1e-6 must have the time to grow.
 _REST = 1e-9
@@ -49,6 +51,7 @@ def dynamic_relaxation(
     method: AbstractMethod, layout: Layout, options: NewtonOptions, rod: Rod, guess: Guess
 ) -> Rest:
     """Let `rod` move from `guess`, a static one, under loads that rise from zero."""
+    rod = _weights_without_mass(rod)
     unit = rod.L**2 * jnp.sqrt(jnp.max(rod.rho_A) / jnp.max(rod.K_bt[..., :2]))
     rod = eqx.tree_at(
         lambda r: (r.B_se, r.B_bt, r.C),
@@ -68,7 +71,7 @@ def dynamic_relaxation(
         return Guess(moving.join(pose, still, wrench), guess.strain)
 
     def step(state):
-        load = jnp.minimum(1.0, (state.loaded + 1) / _RISE)
+        load = jnp.minimum(1.0, _LOWEST ** (1 - (state.loaded + 1) / _RISE))
         _, q, w, _, _ = moving.split(state.guess.y)
         velocity = jnp.concatenate([q, w], -1)
         c0 = 1 / state.h
@@ -95,3 +98,21 @@ def dynamic_relaxation(
     end = jax.lax.while_loop(goes_on, step, start)
     pose, wrench = end.guess.y[..., : layout.pose_size], end.guess.y[..., -layout.pair :]
     return Rest(Guess(layout.join(pose, wrench), end.guess.strain), end.rate <= _REST, end.steps)
+
+
+def _weights_without_mass(rod: Rod) -> Rod:
+    """The rod with forces in place of its payload and masses, whose inertia would keep it moving.
+
+    Where it comes to rest is the same.
+    """
+    none = jnp.zeros(rod.v_star.shape[-1])
+    weight = lambda mass: none if rod.gravity is None else mass * rod.gravity
+    if rod.payload is not None:
+        force = weight(rod.payload) + (none if rod.F_tip is None else rod.F_tip)
+        rod = eqx.tree_at(
+            lambda r: (r.payload, r.F_tip), rod, (None, force), is_leaf=lambda x: x is None
+        )
+    if rod.at_gaps is None:
+        return rod
+    loads = tuple(x if x.mass is None else PointLoad(x.here, weight(x.mass)) for x in rod.at_gaps)
+    return eqx.tree_at(lambda r: r.at_gaps, rod, loads)

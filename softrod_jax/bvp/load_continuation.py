@@ -12,10 +12,12 @@ from softrod_jax.foundation.results import RESULTS
 
 # Continuation gives up when the next load step is a smaller part of the whole than this.
 _SMALLEST_LOAD_STEP = 1e-4
-_MAX_LOAD_STEPS = 200
+_MAX_LOAD_STEPS = 1000
 # Corrections that fall at least this fast, undamped, from one load to the next: the answer is
 # on the branch that the last one was on.
-_SAFE_CONTRACTION = 0.5
+SAFE_CONTRACTION = 0.5
+# What steps aim at, so that few are tried in vain.
+_AIM = 0.25
 
 
 class _Load(NamedTuple):
@@ -54,8 +56,10 @@ def search_by_load(equations: Equations, options: NewtonOptions, U, before=None)
         # that is straight for symmetry) do no smaller steps help.
         smallest = state.step / 4 < _SMALLEST_LOAD_STEP
         passes = found.stable | ~past.stable | smallest
-        ok = converged & (found.contraction < _SAFE_CONTRACTION) & passes
-        step = jnp.where(ok, 2 * state.step, state.step / 4)
+        ok = converged & (found.contraction < SAFE_CONTRACTION) & passes
+        # A secant is off by the square of the step, and corrections fall as fast as it is close.
+        longer = jnp.sqrt(_AIM / jnp.maximum(found.contraction, 1e-6))
+        step = jnp.where(ok, jnp.clip(longer, 0.5, 2.0) * state.step, state.step / 4)
         tries = state.tries + 1
         stuck = (~ok & (step < _SMALLEST_LOAD_STEP)) | (tries >= _MAX_LOAD_STEPS)
         finished = ok & (load >= 1.0)
