@@ -17,7 +17,12 @@ if "PYTEST_XDIST_WORKER" not in os.environ and _FLAG not in os.environ.get("XLA_
         os.environ["XLA_FLAGS"] = flags
 
 import jax  # noqa: E402
+import jaxtyping  # noqa: E402
 import pytest  # noqa: E402
+
+# Before the packages are imported: each call of an annotated function is held against what it says.
+if "NOHOOK" not in os.environ:
+    jaxtyping.install_import_hook(["softrod_jax", "calibration"], os.environ.get("CHECKER", "beartype.beartype"))
 
 jax.config.update("jax_enable_x64", True)
 if "JAX_COMPILATION_CACHE_DIR" not in os.environ:

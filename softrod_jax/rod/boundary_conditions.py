@@ -14,8 +14,8 @@ from softrod_jax.rod.rotations import cross, to_body
 class Wrench(NamedTuple):
     """(N, M) as a function of (h, q, omega) at a node: its value, (6,), and its derivative."""
 
-    value: Float[Array, "6"]
-    by_base_part: Float[Array, "6 a"]
+    value: Float[Array, "*gaps pair"]
+    by_base_part: Float[Array, "*gaps pair base"]
 
 
 def tip_condition(y: Float[Array, "n"], rod: Rod, layout: Layout, history) -> Wrench:

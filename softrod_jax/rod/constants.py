@@ -6,6 +6,7 @@ Absent parts are `None`, so the equations never see them. Of a scene in a plane 
 plane is left: two numbers for a vector and one for a turn (`scene/planes.py`).
 """
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import equinox as eqx
@@ -41,8 +42,8 @@ class PointLoad(eqx.Module):
     """
 
     here: Float[Array, "gaps"]
-    F: Float[Array, "3"] | None = None
-    M: Float[Array, "3"] | None = None
+    F: Float[Array, "vector"] | None = None
+    M: Float[Array, "turn"] | None = None
     mass: Scalar | None = None
     frame: str = eqx.field(static=True, default="base")
 
@@ -66,36 +67,36 @@ class Rod(eqx.Module):
       two times `load_factor`.
     - `h_base`: quaternion of the clamp, (4,).
 
-    `K_se` is None for an inextensible rod. In a `plane`, (3,) becomes (2,) for v, q, N and (1,)
-    for u, omega, M; `h_base` is an angle, (1,).
+    `K_se` is None for an inextensible rod. In a `plane`, a vector (v, q, N) has two components
+    instead of three and a turn (u, omega, M) one; `h_base` is an angle, (1,).
     """
 
     grid: Grid
-    K_se: Float[Array, "... 3"] | None
-    K_bt: Float[Array, "... 3"]
-    v_star: Float[Array, "... 3"]
-    u_star: Float[Array, "... 3"]
+    K_se: Float[Array, "... vector"] | None
+    K_bt: Float[Array, "... turn"]
+    v_star: Float[Array, "... vector"]
+    u_star: Float[Array, "... turn"]
     rho_A: Float[Array, "... 1"]
-    rho_J: Float[Array, "... 3"]
-    h_base: Float[Array, "4"]
-    B_se: Float[Array, "... 3"] | None = None
-    B_bt: Float[Array, "... 3"] | None = None
-    C: Float[Array, "... 3"] | None = None
-    gravity: Float[Array, "3"] | None = None
-    weight: Float[Array, "... 3"] | None = None
+    rho_J: Float[Array, "... turn"]
+    h_base: Float[Array, "attitude"]
+    B_se: Float[Array, "... vector"] | None = None
+    B_bt: Float[Array, "... turn"] | None = None
+    C: Float[Array, "... vector"] | None = None
+    gravity: Float[Array, "vector"] | None = None
+    weight: Float[Array, "... vector"] | None = None
     tau: Float[Array, "... tendons"] | None = None
-    r: Float[Array, "... tendons 3"] | None = None
-    r_s: Float[Array, "... tendons 3"] | None = None
+    r: Float[Array, "... tendons vector"] | None = None
+    r_s: Float[Array, "... tendons vector"] | None = None
     front_viscosity: Float[Array, "... 1"] | None = None
-    n_ch: Float[Array, "... 3"] | None = None
-    m_ch: Float[Array, "... 3"] | None = None
+    n_ch: Float[Array, "... vector"] | None = None
+    m_ch: Float[Array, "... turn"] | None = None
     payload: Scalar | None = None
-    F_tip: Float[Array, "3"] | None = None
-    M_tip: Float[Array, "3"] | None = None
+    F_tip: Float[Array, "vector"] | None = None
+    M_tip: Float[Array, "turn"] | None = None
     at_gaps: tuple[PointLoad, ...] | None = None
     material: AbstractEnergy | None = None
-    energies: tuple[AbstractEnergy, ...] | None = None
-    distributed_loads: tuple[AbstractDistributedLoad, ...] | None = None
+    energies: Sequence[AbstractEnergy] | None = None
+    distributed_loads: Sequence[AbstractDistributedLoad] | None = None
     load_factor: Scalar | None = None
     s: Float[Array, "points"] | None = None
     plane: str | None = eqx.field(static=True, default=None)
@@ -425,7 +426,7 @@ def fastest_wave(rod: Rod) -> Scalar:
     return jnp.sqrt(jnp.max(rod.K_se[..., -1] / rod.rho_A[..., 0]))
 
 
-def full_strain(strain: Float[Array, "*points n"], rod: Rod) -> Float[Array, "*points 6"]:
+def full_strain(strain: Float[Array, "*points unknown"], rod: Rod) -> Float[Array, "*points 6"]:
     """(v, u) with all components, of the strains that are unknown in this rod."""
     if rod.K_se is None:
         v = jnp.broadcast_to(rod.v_star, (*strain.shape[:-1], rod.v_star.shape[-1]))
@@ -433,7 +434,7 @@ def full_strain(strain: Float[Array, "*points n"], rod: Rod) -> Float[Array, "*p
     return in_space(strain, rod.plane)
 
 
-def inner_strain(strain: Float[Array, "*points 6"], rod: Rod) -> Float[Array, "*points n"]:
+def inner_strain(strain: Float[Array, "*points 6"], rod: Rod) -> Float[Array, "*points unknown"]:
     """The strains that are unknown in this rod, of (v, u)."""
     u = turn_in(rod.plane, strain[..., 3:])
     if rod.K_se is None:

@@ -27,7 +27,8 @@ from softrod_jax.rod.constants import Rod
 from softrod_jax.rod.energies import AbstractTerm, Density, TendonPull
 from softrod_jax.rod.rotations import cross
 
-Strain = Float[Array, "*points 6"]
+# (v, u), or u where v is given: 6, 3, or in a plane 3 and 1 numbers.
+Strain = Float[Array, "*points strain"]
 _MAX_ITERATIONS = 40
 # Size of the last step, relative; convergence is quadratic, so the error is far below it.
 _CONVERGED = 1e-9
@@ -40,11 +41,11 @@ class LocalProblem(NamedTuple):
     strains of the unloaded rod; `sizes`: those of strains that matter. Both (6,), with terms only.
     """
 
-    k: Float[Array, "... 6"]
-    b: Float[Array, "*points 6"]
+    k: Float[Array, "... strain"]
+    b: Strain
     terms: tuple[AbstractTerm, ...] = ()
-    rest: Float[Array, "... 6"] | None = None
-    sizes: Float[Array, "6"] | None = None
+    rest: Float[Array, "... strain"] | None = None
+    sizes: Float[Array, "strain"] | None = None
 
     @property
     def explicit(self) -> bool:
@@ -140,7 +141,7 @@ def compliance(problem: LocalProblem, strain: Strain):
     return _inverse(_hessian(problem, strain))
 
 
-def shortest_path(rod: Rod, strain: Float[Array, "points 6"]):
+def shortest_path(rod: Rod, strain: Strain):
     """The least |v + u x r_i| of any tendon anywhere: 0 where it has no length left."""
     v = rod.v_star if rod.K_se is None else None
     _, length = TendonPull(rod.tau, rod.r, rod.r_s, v).paths(strain)

@@ -20,7 +20,8 @@ from softrod_jax.rod.rotations import cross, hats
 from softrod_jax.scene.acting import AbstractEnergy
 from softrod_jax.scene.planes import in_space
 
-Strain = Float[Array, "*points 6"]
+# (v, u), or u where v is given: 6, 3, or in a plane 3 and 1 numbers.
+Strain = Float[Array, "*points strain"]
 
 
 class AbstractTerm(eqx.Module):
@@ -35,7 +36,7 @@ class AbstractTerm(eqx.Module):
         """Its derivative by x: [N] and [N m]."""
 
     @abc.abstractmethod
-    def hessian(self, x: Strain) -> Float[Array, "*points n n"]:
+    def hessian(self, x: Strain) -> Float[Array, "*points strain strain"]:
         """Its second derivative."""
 
     @property
@@ -53,12 +54,12 @@ class TendonPull(AbstractTerm):
     """
 
     tau: Float[Array, "... tendons"]
-    r: Float[Array, "... tendons 3"]
-    r_s: Float[Array, "... tendons 3"] | None = None
-    v: Float[Array, "... 3"] | None = None
+    r: Float[Array, "... tendons vector"]
+    r_s: Float[Array, "... tendons vector"] | None = None
+    v: Float[Array, "... vector"] | None = None
     viscosity: Float[Array, "... tendons"] | None = None
     c0: Float[Array, ""] | None = None
-    l_h: Float[Array, "*points tendons 3"] | None = None
+    l_h: Float[Array, "*points tendons vector"] | None = None
 
     @property
     def reach(self):
@@ -140,7 +141,7 @@ class Density(AbstractTerm):
     s: Float[Array, "..."]
     radius: Float[Array, ""]
     factor: Float[Array, ""] | None = None
-    v: Float[Array, "... 3"] | None = None
+    v: Float[Array, "... vector"] | None = None
     plane: str | None = eqx.field(static=True, default=None)
 
     @property

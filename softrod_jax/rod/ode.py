@@ -49,8 +49,8 @@ class History(NamedTuple):
     """
 
     c0: Float[Array, ""]
-    strain: Float[Array, "*points 6"]
-    velocity: Float[Array, "*points 6"]
+    strain: Float[Array, "*points strain"]
+    velocity: Float[Array, "*points pair"]
 
 
 class Layout(eqx.Module):
@@ -103,7 +103,7 @@ class Layout(eqx.Module):
         q, w = (y[..., i:j], y[..., j:k]) if self.dynamic else (None, None)
         return h, q, w, y[..., -self.pair : -self.turn], y[..., -self.turn :]
 
-    def split_strain(self, strain: Points):
+    def split_strain(self, strain: Float[Array, "*points strain"]):
         """(v, u); None for v where the rod is inextensible."""
         if self.inextensible:
             return None, strain
@@ -127,11 +127,17 @@ class Rates(NamedTuple):
     """What the ODE gives at a point: dy/ds, the strains (v, u), and if those exist."""
 
     y_s: Points
-    strain: Float[Array, "*points 6"]
+    strain: Float[Array, "*points strain"]
     solvable: Bool[Array, ""]
 
 
-def rod_ode(y: Points, rod: Rod, layout: Layout, history: History | None, guess: Points) -> Rates:
+def rod_ode(
+    y: Points,
+    rod: Rod,
+    layout: Layout,
+    history: History | None,
+    guess: Float[Array, "*#points strain"],
+) -> Rates:
     """dy/ds, for one point or for many: where numbers of the rod vary, for those of its points.
 
     `guess` (*points, 6): strains from which the pointwise solve starts (tendons only); the
@@ -151,8 +157,8 @@ class Jacobian(NamedTuple):
     """
 
     state: Float[Array, "*points n n"]
-    compliance: Float[Array, "*points 6 6"]
-    wrench: Float[Array, "*points n 6"]
+    compliance: Float[Array, "*points strain strain"]
+    wrench: Float[Array, "*points n strain"]
 
 
 def rod_ode_jacobian(

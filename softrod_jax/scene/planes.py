@@ -38,7 +38,7 @@ def turn_in(plane: str | None, a: Float[Array, "*points 3"] | None):
     return a[..., 1:2] if plane == "xz" else -a[..., :1]
 
 
-def about_normal(plane: str | None, a: Float[Array, "n"] | None):
+def about_normal(plane: str | None, a: Float[Array, "*points n"] | None):
     """Of numbers for turns about x, y (and z), that about the normal; all if no plane."""
     if plane is None or a is None:
         return a

@@ -3,12 +3,10 @@
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float
 
+from softrod_jax.foundation.numbers import DiagonalLike, PairLike, ScalarLike, VectorLike
 from softrod_jax.scene.ranges import number
 from softrod_jax.scene.sections import Section
-
-Scalar = Float[Array, ""]
 
 DAMPING = {"optional": True, "sizes": (0, 3), "at_least": 0, "zero_is_absent": True}
 
@@ -21,10 +19,10 @@ class Stiffness(eqx.Module):
       they are not needed.
     """
 
-    bending: Float[Array, "2"] = number("N m^2", sizes=(2,), above=0, harmless=1.0)
-    torsion: Scalar = number("N m^2", above=0, harmless=1.0)
-    axial: Scalar | None = number("N", optional=True, above=0, harmless=1.0)
-    shear: Float[Array, "2"] | None = number("N", optional=True, sizes=(2,), above=0, harmless=1.0)
+    bending: PairLike = number("N m^2", sizes=(2,), above=0, harmless=1.0)
+    torsion: ScalarLike = number("N m^2", above=0, harmless=1.0)
+    axial: ScalarLike | None = number("N", optional=True, above=0, harmless=1.0)
+    shear: PairLike | None = number("N", optional=True, sizes=(2,), above=0, harmless=1.0)
 
 
 class Segment(eqx.Module):
@@ -36,20 +34,20 @@ class Segment(eqx.Module):
     - `intervals` of the grid; chosen where `None`.
     """
 
-    length: Scalar = number("m", above=0, harmless=1.0)
+    length: ScalarLike = number("m", above=0, harmless=1.0)
     section: Section
     section_at_end: Section | None = None
-    young_modulus: Scalar | None = number("Pa", optional=True, above=0, harmless=1.0)
-    poisson_ratio: Scalar | None = number(optional=True, above=-1, below=0.5)
-    density: Scalar | None = number("kg/m^3", optional=True, above=0, harmless=1.0)
+    young_modulus: ScalarLike | None = number("Pa", optional=True, above=0, harmless=1.0)
+    poisson_ratio: ScalarLike | None = number(optional=True, above=-1, below=0.5)
+    density: ScalarLike | None = number("kg/m^3", optional=True, above=0, harmless=1.0)
     stiffness: Stiffness | None = None
-    linear_density: Scalar | None = number("kg/m", optional=True, above=0, harmless=1.0)
-    bending_damping: Float[Array, "..."] | None = number("N m^2 s", **DAMPING)
-    shear_damping: Float[Array, "..."] | None = number("N s", **DAMPING)
-    drag_coefficient: Float[Array, "..."] | None = number("kg/m^2", **DAMPING)
-    shear_correction: Scalar | None = number(optional=True, above=0, harmless=1.0)
-    rest_curvature: Float[Array, "3"] | None = number("1/m", optional=True, sizes=(3,))
-    rest_stretch: Float[Array, "3"] | None = number(
+    linear_density: ScalarLike | None = number("kg/m", optional=True, above=0, harmless=1.0)
+    bending_damping: DiagonalLike | None = number("N m^2 s", **DAMPING)
+    shear_damping: DiagonalLike | None = number("N s", **DAMPING)
+    drag_coefficient: DiagonalLike | None = number("kg/m^2", **DAMPING)
+    shear_correction: ScalarLike | None = number(optional=True, above=0, harmless=1.0)
+    rest_curvature: VectorLike | None = number("1/m", optional=True, sizes=(3,))
+    rest_stretch: VectorLike | None = number(
         optional=True, sizes=(3,), harmless=(0.0, 0.0, 1.0)
     )
     intervals: int | None = eqx.field(static=True, default=None)
@@ -65,7 +63,7 @@ class Segment(eqx.Module):
             raise ValueError(f"Segment: intervals={count!r}; a whole number from 1 is needed")
 
     @property
-    def rest_strain(self) -> tuple[Float[Array, "3"], Float[Array, "3"]]:
+    def rest_strain(self) -> tuple[VectorLike, VectorLike]:
         """Stretch v* and curvature u* of the unloaded segment."""
         v, u = self.rest_stretch, self.rest_curvature
         straight = jnp.array([0.0, 0.0, 1.0])
