@@ -8,6 +8,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.core import Tracer
 from jaxtyping import Array, Float, Int
 
 from softrod_jax.bvp.collocation import Collocation
@@ -132,7 +133,7 @@ def _part(scene, name) -> Array:
 
 def _positive(scene, name) -> Array:
     value = _part(scene, name)
-    if not isinstance(value, jax.core.Tracer) and not np.all(np.asarray(value) > 0):
+    if not isinstance(value, Tracer) and not np.all(np.asarray(value) > 0):
         raise ValueError(
             f"RodLayer: {name} = {value} is not above zero and has no logarithm; name it in "
             "`free`, or start from a positive value"

@@ -149,6 +149,9 @@ class Rod(eqx.Module):
         return eqx.tree_at(pick, self, [function(x) for x in pick(self)])
 
 
+# Of what calls have looked for, before they come here.
+INCOMPLETE = "the scene has been checked for what it needs"
+
 # How many axes what may vary has where it does not.
 _AXES = {
     **dict.fromkeys(("K_se", "K_bt", "v_star", "u_star", "rho_A", "rho_J", "B_se", "B_bt", "C"), 1),
@@ -186,7 +189,7 @@ def make_rod(
     tau, r, r_s = (None,) * 3 if tensions is None else _tendons(scene, grid, tensions)
     K_se = vector_in(plane, body.K_se) if stretches else None
     front = None
-    if tensions is not None and spread_fronts and stretches:
+    if tensions is not None and spread_fronts and body.K_se is not None:
         front = _FRONT_VISCOSITY * grid.widest**2 * body.rho_A / body.K_se[..., 2:]
     gravity, load = vector_in(plane, scene.gravity), scene.tip_load
     own, one = (scene.material, scene.energies, scene.distributed_loads), jnp.ones(())
@@ -317,7 +320,7 @@ def _segment_of_points(scene: Scene, grid: Grid):
     """The number of the segment that each point is in."""
     ends = jnp.stack([jnp.asarray(x, dtype=float) for x in _ends(scene, grid)])
     middle = 0.5 * (ends[1:] + ends[:-1])
-    lengths = jnp.stack([segment.length for segment in scene.segments])
+    lengths = jnp.stack([segment.length for segment in scene.segments or ()])
     number = jnp.sum(middle[:, None] >= jnp.cumsum(lengths)[:-1], axis=1)
     return number[_division(grid).part_of_point(grid.stride)]
 
@@ -350,10 +353,12 @@ def _selected(values, number):
 def _stiffness_and_mass(segment: Segment, section, scene: Scene):
     """K_se (None if inextensible), K_bt, rho_A and rho_J where this is a segment's section."""
     I = section.second_moments
-    if segment.linear_density is None:
-        rho, rho_A = segment.density, segment.density * section.area
+    rho, rho_A = segment.density, segment.linear_density
+    if rho_A is not None:
+        rho = rho_A / section.area
     else:
-        rho, rho_A = segment.linear_density / section.area, segment.linear_density
+        assert rho is not None, INCOMPLETE
+        rho_A = rho * section.area
     measured, material = segment.stiffness, scene.material
     if material is not None:
         K_se, K_bt = stiffness_at_rest(material, *segment.rest_strain)
@@ -369,11 +374,12 @@ def _stiffness_and_mass(segment: Segment, section, scene: Scene):
 
 def _of_moduli(segment: Segment, section, scene: Scene):
     """K_se, or None if inextensible, and K_bt of an isotropic material."""
-    E, I = segment.young_modulus, section.second_moments
+    E, nu, I = segment.young_modulus, segment.poisson_ratio, section.second_moments
+    assert E is not None and nu is not None, INCOMPLETE
     if scene.inextensible and scene.plane is not None:
         # Nothing is sheared or twisted: the shear modulus is in no equation.
         return None, jnp.stack([E * I[0], E * I[1], jnp.zeros(())])
-    G = E / (2 * (1 + segment.poisson_ratio))
+    G = E / (2 * (1 + nu))
     K_bt = jnp.stack([E * I[0], E * I[1], G * section.torsion_constant])
     if scene.inextensible:
         return None, K_bt
@@ -396,6 +402,7 @@ def _active(scene: Scene, grid: Grid, actuators):
 
 def _tendons(scene: Scene, grid: Grid, tensions):
     """Tensions, places and slopes."""
+    assert scene.tendons is not None, INCOMPLETE
     r, r_s = scene.tendons.routing(grid.s, scene.length)
     there = _active(scene, grid, scene.tendons)
     return tensions if there is None else jnp.where(there, tensions, 0.0), r, r_s
@@ -456,11 +463,13 @@ def clamp_pose(scene: Scene):
 
 def _chamber_wrench(scene: Scene, grid: Grid, pressures):
     """-d/d(v, u) of -sum_c P_c A_c e3.(v + u x r_c): the thrust of the chambers' caps."""
-    thrust = pressures * scene.chambers.areas
-    there = _active(scene, grid, scene.chambers)
+    chambers = scene.chambers
+    assert chambers is not None, INCOMPLETE
+    thrust = pressures * chambers.areas
+    there = _active(scene, grid, chambers)
     if there is not None:
         thrust = jnp.where(there, thrust, 0.0)
-    x, y = scene.chambers.offsets[:, 0], scene.chambers.offsets[:, 1]
+    x, y = chambers.offsets[:, 0], chambers.offsets[:, 1]
     total = jnp.sum(thrust, -1)
     zero = jnp.zeros_like(total)
     n = jnp.stack([zero, zero, total], -1)

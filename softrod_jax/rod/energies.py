@@ -41,7 +41,7 @@ class AbstractTerm(eqx.Module):
 
     @property
     @abc.abstractmethod
-    def reach(self):
+    def reach(self) -> Float[Array, ""]:
         """A distance from the axis [m]: curvatures matter where they bend this far."""
 
 
@@ -62,7 +62,7 @@ class TendonPull(AbstractTerm):
     l_h: Float[Array, "*points tendons vector"] | None = None
 
     @property
-    def reach(self):
+    def reach(self) -> Float[Array, ""]:
         return jnp.max(jnp.abs(self.r))
 
     def paths(self, x: Strain):
@@ -93,7 +93,7 @@ class TendonPull(AbstractTerm):
     def value(self, x):
         l, length = self.paths(x)
         energy = jnp.sum(self.tau * length, -1)
-        if self.viscosity is None:
+        if self.viscosity is None or self.c0 is None:
             return energy
         _, rate = self._rates(l)
         return energy + jnp.sum(self.viscosity * rate**3, -1) / (3 * self.c0)
@@ -115,7 +115,7 @@ class TendonPull(AbstractTerm):
         eye, outer = jnp.eye(l.shape[-1]), lambda a: a[..., :, None] * a[..., None, :]
         t = l / length[..., None]
         M = (self.tau / length)[..., None, None] * (eye - outer(t))
-        if self.viscosity is not None:
+        if self.viscosity is not None and self.c0 is not None:
             l_t, rate = self._rates(l)
             rate = rate[..., None, None]
             drag = self.c0 * self.viscosity[..., None, None]
@@ -145,7 +145,7 @@ class Density(AbstractTerm):
     plane: str | None = eqx.field(static=True, default=None)
 
     @property
-    def reach(self):
+    def reach(self) -> Float[Array, ""]:
         return self.radius
 
     def _at_point(self, x, v, s):

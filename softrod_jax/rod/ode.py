@@ -25,7 +25,7 @@ is inextensible are u alone; v is v*.
 """
 
 import functools
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
@@ -95,15 +95,15 @@ class Layout(eqx.Module):
     def size(self) -> int:
         return self.base_size + self.pair
 
-    def split(self, y: Points):
-        """(h, q, omega, N, M); None for a part that is absent."""
+    def split(self, y: Points) -> tuple[Any, Any, Any, Array, Array]:
+        """(h, q, omega, N, M); None for one of the first three that is absent."""
         i = self.attitude_size
         h = y[..., :i] if self.attitude else None
         j, k = i + self.vector, i + self.pair
         q, w = (y[..., i:j], y[..., j:k]) if self.dynamic else (None, None)
         return h, q, w, y[..., -self.pair : -self.turn], y[..., -self.turn :]
 
-    def split_strain(self, strain: Float[Array, "*points strain"]):
+    def split_strain(self, strain: Float[Array, "*points strain"]) -> tuple[Any, Array]:
         """(v, u); None for v where the rod is inextensible."""
         if self.inextensible:
             return None, strain
@@ -316,6 +316,8 @@ def _blocks(rows):
 
 def distributed(base_part, rod: Rod, layout: Layout, of=lambda f: f, shape="(i)"):
     """The loads of users per unit of rod in the body frame, (*points, 6), or their derivative."""
+    loads, factor = rod.distributed_loads or (), rod.load_factor
+    assert loads and factor is not None, "a rod with such loads"
 
     def at_point(base_part, s):
         h, q, w, _, _ = layout.split(jnp.concatenate([base_part, jnp.zeros(layout.pair)]))
@@ -323,9 +325,10 @@ def distributed(base_part, rod: Rod, layout: Layout, of=lambda f: f, shape="(i)"
         moving = jnp.concatenate([q, w]) if layout.dynamic else still
         moving = in_space(moving, rod.plane)
         here = Here(s, quaternion_in(rod.plane, h), moving[:3], moving[3:])
-        f, l = (sum(x) for x in zip(*(load.wrench(here) for load in rod.distributed_loads)))
+        wrenches = [load.wrench(here) for load in loads]
+        f, l = (sum(parts, jnp.zeros(3)) for parts in zip(*wrenches))
         applied = jnp.concatenate([vector_in(rod.plane, f), turn_in(rod.plane, l)])
-        return rod.load_factor * applied
+        return factor * applied
 
     return jnp.vectorize(of(at_point), signature=f"(n),()->{shape}")(base_part, rod.s)
 

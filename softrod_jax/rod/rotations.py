@@ -45,9 +45,7 @@ def hats(
     return rows([z, -x]), rows([-z], [x])
 
 
-def cross(
-    a: Float[Array, "*#batch n"], b: Float[Array, "*#batch m"]
-) -> Float[Array, "*#batch k"]:
+def cross(a: Float[Array, "*#batch n"], b: Float[Array, "*#batch m"]) -> Float[Array, "*#batch k"]:
     """a x b, in components (jnp.cross compiles to gathers)."""
     if a.shape[-1] < 3:
         return _cross_in_plane(a, b)

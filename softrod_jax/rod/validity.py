@@ -13,7 +13,9 @@ from softrod_jax.scene.checks import can_be, harmless_unless
 from softrod_jax.scene.scene import Scene
 
 
-def usable(scene: Scene, good=True, tensions=None, pressures=None) -> tuple[Scene, Bool[Array, ""]]:
+def usable(
+    scene: Scene, good: Bool[Array, ""] | bool = True, tensions=None, pressures=None
+) -> tuple[Scene, Bool[Array, ""]]:
     """The scene, and whether all its numbers can be; where one cannot, a harmless scene.
 
     `good`: whether all other inputs can be. `tensions` and `pressures`: constant ones. A rod whose

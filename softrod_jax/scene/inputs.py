@@ -5,6 +5,7 @@ import operator
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.core import Tracer
 from jaxtyping import Array, Bool, Float
 
 from softrod_jax.scene.scene import Scene
@@ -50,7 +51,7 @@ def _checked(who, name, part, actuators, given, ndim):
 
 def _is_number(given) -> bool:
     """Whether it is known now; what becomes of it under `jit` is not."""
-    return not any(isinstance(x, jax.core.Tracer) for x in jax.tree.leaves(given))
+    return not any(isinstance(x, Tracer) for x in jax.tree.leaves(given))
 
 
 def time_step(who: str, dt) -> Float[Array, ""]:
@@ -76,9 +77,10 @@ def whole_number(who: str, name: str, value) -> int:
     return count
 
 
-def good_inputs(*inputs: Float[Array, "*rows actuators"] | None) -> Bool[Array, "*rows"]:
-    """Of (tensions, pressures), whether all are finite and no tendon pushes; of each row."""
-    tensions, pressures = inputs
+def good_inputs(
+    tensions: Float[Array, "*rows tendons"] | None, pressures: Float[Array, "*rows chambers"] | None
+) -> Bool[Array, "*#rows"]:
+    """Whether all are finite and no tendon pushes; of each row."""
     good = jnp.array(True)
     if tensions is not None:
         good &= jnp.all(jnp.isfinite(tensions) & (tensions >= 0), axis=-1)

@@ -3,7 +3,7 @@
 import equinox as eqx
 import jax.numpy as jnp
 
-from softrod_jax.foundation.numbers import ScalarLike, VectorLike
+from softrod_jax.foundation.numbers import Given, Maybe, ScalarLike, VectorLike
 from softrod_jax.scene.ranges import number
 
 FRAMES = ("base", "body")
@@ -14,14 +14,14 @@ DEAD_LOAD = {"optional": True, "sizes": (3,), "zero_is_absent": True}
 class Payload(eqx.Module):
     """A point mass [kg] on the axis at the tip: weight (if there is gravity) and inertia."""
 
-    mass: ScalarLike = number("kg", at_least=0, zero_is_absent=True, converter=jnp.asarray)
+    mass: Given[ScalarLike] = number("kg", at_least=0, zero_is_absent=True, converter=jnp.asarray)
 
 
 class TipLoad(eqx.Module):
     """Dead loads at the tip, in the base frame: `force` [N] and `moment` [N m], (3,) each."""
 
-    force: VectorLike | None = number("N", **DEAD_LOAD)
-    moment: VectorLike | None = number("N m", **DEAD_LOAD)
+    force: Maybe[VectorLike] = number("N", **DEAD_LOAD)
+    moment: Maybe[VectorLike] = number("N m", **DEAD_LOAD)
 
 
 class Load(eqx.Module):
@@ -31,9 +31,9 @@ class Load(eqx.Module):
     for any other.
     """
 
-    at: ScalarLike = number("m", at_least=0, harmless=0.5)
-    force: VectorLike | None = number("N", **DEAD_LOAD)
-    moment: VectorLike | None = number("N m", **DEAD_LOAD)
+    at: Given[ScalarLike] = number("m", at_least=0, harmless=0.5)
+    force: Maybe[VectorLike] = number("N", **DEAD_LOAD)
+    moment: Maybe[VectorLike] = number("N m", **DEAD_LOAD)
     frame: str = eqx.field(static=True, default="base")
 
     def __check_init__(self):
@@ -44,13 +44,13 @@ class Load(eqx.Module):
 class Mass(eqx.Module):
     """A point mass [kg] on the axis at arc length `at` [m]: weight and inertia."""
 
-    at: ScalarLike = number("m", at_least=0, harmless=0.5)
-    mass: ScalarLike = number("kg", at_least=0)
+    at: Given[ScalarLike] = number("m", at_least=0, harmless=0.5)
+    mass: Given[ScalarLike] = number("kg", at_least=0)
 
 
 class Marker(eqx.Module):
     """A point that is seen: at arc length `at` [m], `offset` [m] in the frame of the section."""
 
     name: str = eqx.field(static=True)
-    at: ScalarLike = number("m", at_least=0, harmless=0.5)
-    offset: VectorLike | None = number("m", optional=True, sizes=(3,))
+    at: Given[ScalarLike] = number("m", at_least=0, harmless=0.5)
+    offset: Maybe[VectorLike] = number("m", optional=True, sizes=(3,))

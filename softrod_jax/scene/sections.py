@@ -19,14 +19,14 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from softrod_jax.foundation.numbers import PairLike, ScalarLike
+from softrod_jax.foundation.numbers import Given, PairLike, ScalarLike
 from softrod_jax.scene.ranges import number
 
 
 class Circle(eqx.Module):
     """A solid circle."""
 
-    radius: ScalarLike = number("m", above=0, harmless=0.1)
+    radius: Given[ScalarLike] = number("m", above=0, harmless=0.1)
 
     @property
     def area(self) -> ScalarLike:
@@ -47,8 +47,8 @@ class Circle(eqx.Module):
 class Annulus(eqx.Module):
     """A tube."""
 
-    outer_radius: ScalarLike = number("m", above=0, harmless=0.1)
-    inner_radius: ScalarLike = number("m", at_least=0, harmless=0.05)
+    outer_radius: Given[ScalarLike] = number("m", above=0, harmless=0.1)
+    inner_radius: Given[ScalarLike] = number("m", at_least=0, harmless=0.05)
 
     @property
     def area(self) -> ScalarLike:
@@ -76,8 +76,8 @@ class Annulus(eqx.Module):
 class Rectangle(eqx.Module):
     """A rectangle, `width` along x and `height` along y."""
 
-    width: ScalarLike = number("m", above=0, harmless=0.1)
-    height: ScalarLike = number("m", above=0, harmless=0.1)
+    width: Given[ScalarLike] = number("m", above=0, harmless=0.1)
+    height: Given[ScalarLike] = number("m", above=0, harmless=0.1)
 
     @property
     def area(self) -> ScalarLike:
@@ -116,9 +116,9 @@ _ZETA_5 = 1.036927755143369926  # Riemann zeta(5): sum over odd n of n^-5 is 31/
 class GeneralSection(eqx.Module):
     """A section given by its numbers, for shapes that are not listed here."""
 
-    area: ScalarLike = number("m^2", above=0, harmless=0.03)
-    second_moments: PairLike = number("m^4", sizes=(2,), above=0, harmless=1e-4)
-    torsion_constant: ScalarLike = number("m^4", above=0, harmless=1e-4)
+    area: Given[ScalarLike] = number("m^2", above=0, harmless=0.03)
+    second_moments: Given[PairLike] = number("m^4", sizes=(2,), above=0, harmless=1e-4)
+    torsion_constant: Given[ScalarLike] = number("m^4", above=0, harmless=1e-4)
 
     def contains(self, offset):
         # The outline is unknown: the radius of gyration bounds nothing, so accept.

@@ -3,8 +3,16 @@
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+from jaxtyping import Array, Float
 
-from softrod_jax.foundation.numbers import DiagonalLike, PairLike, ScalarLike, VectorLike
+from softrod_jax.foundation.numbers import (
+    DiagonalLike,
+    Given,
+    Maybe,
+    PairLike,
+    ScalarLike,
+    VectorLike,
+)
 from softrod_jax.scene.ranges import number
 from softrod_jax.scene.sections import Section
 
@@ -19,10 +27,10 @@ class Stiffness(eqx.Module):
       they are not needed.
     """
 
-    bending: PairLike = number("N m^2", sizes=(2,), above=0, harmless=1.0)
-    torsion: ScalarLike = number("N m^2", above=0, harmless=1.0)
-    axial: ScalarLike | None = number("N", optional=True, above=0, harmless=1.0)
-    shear: PairLike | None = number("N", optional=True, sizes=(2,), above=0, harmless=1.0)
+    bending: Given[PairLike] = number("N m^2", sizes=(2,), above=0, harmless=1.0)
+    torsion: Given[ScalarLike] = number("N m^2", above=0, harmless=1.0)
+    axial: Maybe[ScalarLike] = number("N", optional=True, above=0, harmless=1.0)
+    shear: Maybe[PairLike] = number("N", optional=True, sizes=(2,), above=0, harmless=1.0)
 
 
 class Segment(eqx.Module):
@@ -34,22 +42,20 @@ class Segment(eqx.Module):
     - `intervals` of the grid; chosen where `None`.
     """
 
-    length: ScalarLike = number("m", above=0, harmless=1.0)
-    section: Section
+    length: Given[ScalarLike] = number("m", above=0, harmless=1.0)
+    section: Section  # pyright: ignore[reportGeneralTypeIssues]  # `number` gives no default
     section_at_end: Section | None = None
-    young_modulus: ScalarLike | None = number("Pa", optional=True, above=0, harmless=1.0)
-    poisson_ratio: ScalarLike | None = number(optional=True, above=-1, below=0.5)
-    density: ScalarLike | None = number("kg/m^3", optional=True, above=0, harmless=1.0)
+    young_modulus: Maybe[ScalarLike] = number("Pa", optional=True, above=0, harmless=1.0)
+    poisson_ratio: Maybe[ScalarLike] = number(optional=True, above=-1, below=0.5)
+    density: Maybe[ScalarLike] = number("kg/m^3", optional=True, above=0, harmless=1.0)
     stiffness: Stiffness | None = None
-    linear_density: ScalarLike | None = number("kg/m", optional=True, above=0, harmless=1.0)
-    bending_damping: DiagonalLike | None = number("N m^2 s", **DAMPING)
-    shear_damping: DiagonalLike | None = number("N s", **DAMPING)
-    drag_coefficient: DiagonalLike | None = number("kg/m^2", **DAMPING)
-    shear_correction: ScalarLike | None = number(optional=True, above=0, harmless=1.0)
-    rest_curvature: VectorLike | None = number("1/m", optional=True, sizes=(3,))
-    rest_stretch: VectorLike | None = number(
-        optional=True, sizes=(3,), harmless=(0.0, 0.0, 1.0)
-    )
+    linear_density: Maybe[ScalarLike] = number("kg/m", optional=True, above=0, harmless=1.0)
+    bending_damping: Maybe[DiagonalLike] = number("N m^2 s", **DAMPING)
+    shear_damping: Maybe[DiagonalLike] = number("N s", **DAMPING)
+    drag_coefficient: Maybe[DiagonalLike] = number("kg/m^2", **DAMPING)
+    shear_correction: Maybe[ScalarLike] = number(optional=True, above=0, harmless=1.0)
+    rest_curvature: Maybe[VectorLike] = number("1/m", optional=True, sizes=(3,))
+    rest_stretch: Maybe[VectorLike] = number(optional=True, sizes=(3,), harmless=(0.0, 0.0, 1.0))
     intervals: int | None = eqx.field(static=True, default=None)
 
     def __check_init__(self):
@@ -63,7 +69,7 @@ class Segment(eqx.Module):
             raise ValueError(f"Segment: intervals={count!r}; a whole number from 1 is needed")
 
     @property
-    def rest_strain(self) -> tuple[VectorLike, VectorLike]:
+    def rest_strain(self) -> tuple[Float[Array, "3"], Float[Array, "3"]]:
         """Stretch v* and curvature u* of the unloaded segment."""
         v, u = self.rest_stretch, self.rest_curvature
         straight = jnp.array([0.0, 0.0, 1.0])
