@@ -139,7 +139,7 @@ def run(args) -> int:
     succeeded = int(traj.result) == 0
     failed_step = None if succeeded else int(traj.failed_step)
     tips = np.array(traj.tip_positions)
-    if not succeeded:
+    if failed_step is not None:
         tips[failed_step + 1 :] = np.nan  # the last iterates of a failed step are no motion
     if args.out is not None:
         names = [marker.name for marker in scene.markers or ()]

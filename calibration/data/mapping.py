@@ -44,6 +44,7 @@ the file. A sample of the tip at exactly (0, 0, 0) is one that was not seen.
 from dataclasses import replace
 from os import PathLike
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -147,7 +148,7 @@ def _tip(table: Table, spec: Spec, clock: Clock, scene):
     origin, rest = part.vector("origin", required=False), part.flag("rest")
     if origin is not None and rest:
         raise RecordingError(f"{part.where}origin and {part.where}rest: one of them is too much")
-    triples = markers or [columns]
+    triples: list[Any] = markers or [columns]
     for names in triples:
         if not (isinstance(names, list) and len(names) == 3 and all(
             isinstance(name, str) for name in names
@@ -159,7 +160,7 @@ def _tip(table: Table, spec: Spec, clock: Clock, scene):
     place = lambda names: _place(table, names, missing, unit, turn)
     placed = [place(names) for names in found]
     count = len(placed[0])
-    clock = clock.of(count, next(name for name in found[0] if name))
+    at = clock.of(count, next(name for name in found[0] if name))
     labels = [table.row(k, count) for k in range(count)]
     if any(len(p) != count for p in placed):
         raise RecordingError(
@@ -182,7 +183,7 @@ def _tip(table: Table, spec: Spec, clock: Clock, scene):
         for k, p in enumerate(several):
             several[k], note = at_zero(p, always=always)
             notes += note
-    there = ~np.isnan(clock)
+    there = ~np.isnan(at)
     tip, seen = np.mean(placed, axis=0)[there], [s[there] for s in seen]
     if seen:
         tip, note = from_base_markers(tip, seen, meant, spec.where)
@@ -200,7 +201,7 @@ def _tip(table: Table, spec: Spec, clock: Clock, scene):
         origin=None if rest or seen else "[tip] rest = true, or the clamp as [tip] origin",
         now=now,
     )
-    return tip, clock[there], notes, not rest, source
+    return tip, at[there], notes, not rest, source
 
 
 def _place(table: Table, names, missing, unit, turn) -> np.ndarray:
@@ -242,7 +243,7 @@ def _input(table: Table, part: Spec, kind: str, clock: Clock):
         )
     if not np.any(there):
         raise RecordingError(f"{table.path}: column {name}: no sample has a time")
-    labels = [table.row(k, len(values)) for k in np.flatnonzero(there)]
+    labels = [table.row(int(k), len(values)) for k in np.flatnonzero(there)]
     return name, times[there], values[there], labels, f"{part.where}time."
 
 

@@ -59,7 +59,8 @@ def check_reach(recording: Recording, scene, source: Source) -> None:
     if np.any(distance > rod.reach):
         k = int(np.argmax(distance > rod.reach))
         tip = ", ".join(f"{x:g}" for x in recording.tip_positions[k])
-        few = np.sum(distance > rod.reach) <= 0.02 * len(distance) + 1 < len(distance) / 2
+        outside = int(np.sum(distance > rod.reach))
+        few = outside <= 0.02 * len(distance) + 1 < len(distance) / 2
         raise RecordingError(
             f"{where(k)} ({tip}) is {distance[k]:.4g} m from the base of a rod {rod.length:g} m "
             f"long; {_too_far(recording, rod, source, few)}"

@@ -91,15 +91,15 @@ def _linear_deflection(scene: sr.Scene, recording: Recording) -> Float[np.ndarra
     if scene.tip_load is not None:
         couple = seen(scene.tip_load.moment, -1)
         tip, moment = tip + seen(scene.tip_load.force, -1), moment + [couple[1], -couple[0]]
-    for part, inputs, sign in (
-        (scene.tendons, recording.tensions, -1.0),
-        (scene.chambers, recording.pressures, 1.0),
-    ):
-        if part is not None and inputs is not None:
-            pull = sign * np.asarray(inputs[0])
-            pull = pull * np.asarray(part.areas) if sign > 0 else pull
-            tip = tip + [0.0, 0.0, np.sum(pull)]
-            moment = moment - pull @ np.asarray(part.offsets)
+    pulls = []
+    if scene.tendons is not None and recording.tensions is not None:
+        pulls.append((-np.asarray(recording.tensions[0]), scene.tendons.offsets))
+    if scene.chambers is not None and recording.pressures is not None:
+        thrust = np.asarray(recording.pressures[0]) * np.asarray(scene.chambers.areas)
+        pulls.append((thrust, scene.chambers.offsets))
+    for pull, offsets in pulls:
+        tip = tip + [0.0, 0.0, np.sum(pull)]
+        moment = moment - pull @ np.asarray(offsets)
     # I_y bends towards x, I_x towards y.
     bend = (weight[:2] * L**3 / 8 + tip[:2] * L**3 / 3 + moment * L**2 / 2) / EI[::-1]
     return seen(np.append(bend, (weight[2] / 2 + tip[2]) * L / EA), 1)

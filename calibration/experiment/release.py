@@ -30,6 +30,7 @@ def held(
     The scene has gravity and no tendons; the release begins at t = 0 and takes `duration` [s].
     """
     gravity = scene.gravity
+    assert gravity is not None, "a release is one under gravity"
     if scene.base_quaternion is not None:
         inverse = scene.base_quaternion * jnp.array([1.0, -1.0, -1.0, -1.0])
         gravity = rotated(inverse, gravity)

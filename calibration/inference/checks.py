@@ -57,7 +57,7 @@ def _in_frame(point: Point, frame: Alignment) -> Point:
     length = problem.scene.length
     if problem.time_offset:
         low, high = (np.array([getattr(c, k) for c in problem.clocks]) for k in ("low", "high"))
-        rows = np.arange(len(low))
+        rows, best = np.arange(len(low)), low
         for _ in range(_ROUNDS):
             delays = np.linspace(low, high, _DELAYS, axis=1)
             losses = np.asarray(losses_by_delay(motion, batch, courses, delays, length, frame))

@@ -38,7 +38,7 @@ def estimates(
         out[u.label] = Estimate(
             name=u.parameter.name,
             recording=None if u.recording is None else labels[u.recording],
-            value=at(best.x[i]),
+            value=_plain(u.value(best.x[i])),
             ci95=(at(known.low[i]), at(known.high[i])),
             initial=_plain(u.initial),
             unit=u.parameter.unit,

@@ -98,6 +98,8 @@ class Bar(Meter):
         self._task = self._progress.add_task(shown, total=total, loss="")
 
     def show(self, point):
+        if self._task is None:
+            return
         self._progress.update(self._task, description=self._title, advance=1)
         if point.ok and point.loss < self._best:
             self._best, self._values = point.loss, _values(point)

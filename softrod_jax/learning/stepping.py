@@ -16,6 +16,7 @@ from softrod_jax.bvp.collocation import Collocation
 from softrod_jax.bvp.method import AbstractMethod
 from softrod_jax.bvp.newton import NewtonOptions
 from softrod_jax.foundation.compiling import compiled
+from softrod_jax.foundation.numbers import ManyLike, ScalarLike
 from softrod_jax.foundation.precision import require_float64
 from softrod_jax.foundation.results import RESULTS, without_derivative
 from softrod_jax.rod.constants import clamp_pose, full_strain, make_rod
@@ -36,8 +37,8 @@ class Action(NamedTuple):
     `None`: these actuators are at zero. In `Stepper.rollout` both have one row a step.
     """
 
-    tensions: Float[Array, "*steps tendons"] | None = None
-    pressures: Float[Array, "*steps chambers"] | None = None
+    tensions: ManyLike | None = None
+    pressures: ManyLike | None = None
 
 
 class RodState(eqx.Module):
@@ -65,25 +66,25 @@ class RodState(eqx.Module):
     made_by: tuple[AbstractTimeScheme, AbstractMethod] = eqx.field(static=True)
 
     @property
-    def strains(self) -> Float[Array, "points 6"]:
+    def strains(self) -> Float[Array, "*batch points strain"]:
         return self.memory[0].strain
 
     @property
-    def velocities(self) -> Float[Array, "points 6"]:
+    def velocities(self) -> Float[Array, "*batch points pair"]:
         return self.memory[0].velocity
 
     @property
-    def result(self) -> Int[Array, ""]:
+    def result(self) -> Int[Array, "*batch"]:
         running, method = self.running, self.made_by[1]
         coarse = (running.result == RESULTS.successful) & (running.error > method.max_error)
         return jnp.where(coarse, RESULTS.inaccurate, running.result).astype(jnp.int32)
 
     @property
-    def iterations(self) -> Int[Array, ""]:
+    def iterations(self) -> Int[Array, "*batch"]:
         return self.running.iterations
 
     @property
-    def error(self) -> Float[Array, ""]:
+    def error(self) -> Float[Array, "*batch"]:
         return self.running.error
 
 
@@ -128,7 +129,7 @@ class Stepper(eqx.Module):
     def __init__(
         self,
         scene: Scene,
-        dt,
+        dt: ScalarLike,
         *,
         substeps: int = 1,
         scheme: AbstractTimeScheme = SDIRK(),  # noqa: B008
@@ -210,7 +211,7 @@ class Stepper(eqx.Module):
 
     def _checked(self, who, action, ndim) -> Action:
         """With arrays for all actuators that the scene has."""
-        tensions, pressures = actuation(who, self.scene, *action, ndim)
+        tensions, pressures = actuation(who, self.scene, *action, ndim=ndim)
         given = [x.shape[:-1] for x in (tensions, pressures) if x is not None]
         if ndim == 2 and not given:
             raise ValueError(f"{who}: no inputs to tell how many steps; give rows of zeros")

@@ -74,7 +74,8 @@ def local_problem(
     if rod.m_ch is not None:
         b = b + (rod.m_ch if rod.n_ch is None else jnp.concatenate([rod.n_ch, rod.m_ch], -1))
     if c0 is not None and rod.B_se is not None and strain_history is not None:
-        k_se = c0 * rod.B_se if k_se is None else k_se + c0 * rod.B_se
+        assert k_se is not None, "what is damped has a stiffness"
+        k_se = k_se + c0 * rod.B_se
         b = b.at[..., stretch].add(-rod.B_se * strain_history[..., stretch])
     if c0 is not None and rod.B_bt is not None and strain_history is not None:
         k_bt = k_bt + c0 * rod.B_bt
