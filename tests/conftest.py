@@ -20,9 +20,8 @@ import jax  # noqa: E402
 import jaxtyping  # noqa: E402
 import pytest  # noqa: E402
 
-# Before the packages are imported: each call of an annotated function is held against what it says.
-if "NOHOOK" not in os.environ:
-    jaxtyping.install_import_hook(["softrod_jax", "calibration"], os.environ.get("CHECKER", "beartype.beartype"))
+# Before the packages are imported: every call of their functions is held against its annotations.
+jaxtyping.install_import_hook(["softrod_jax", "calibration"], "checked.checked")
 
 jax.config.update("jax_enable_x64", True)
 if "JAX_COMPILATION_CACHE_DIR" not in os.environ:
@@ -39,3 +38,11 @@ def few_programs():
     if maps.exists() and maps.read_bytes().count(b"\n") > 30_000:
         jax.clear_caches()
         gc.collect()
+
+
+@pytest.fixture
+def wrong_types():
+    """Lets a test give what annotations do not allow, to see how it is refused without them."""
+    jaxtyping.config.update("jaxtyping_disable", True)
+    yield
+    jaxtyping.config.update("jaxtyping_disable", False)

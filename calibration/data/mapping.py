@@ -44,7 +44,6 @@ the file. A sample of the tip at exactly (0, 0, 0) is one that was not seen.
 from dataclasses import replace
 from os import PathLike
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -148,7 +147,7 @@ def _tip(table: Table, spec: Spec, clock: Clock, scene):
     origin, rest = part.vector("origin", required=False), part.flag("rest")
     if origin is not None and rest:
         raise RecordingError(f"{part.where}origin and {part.where}rest: one of them is too much")
-    triples: list[Any] = markers or [columns]
+    triples = [columns] if columns is not None else markers or [[]]
     for names in triples:
         if not (isinstance(names, list) and len(names) == 3 and all(
             isinstance(name, str) for name in names

@@ -64,7 +64,7 @@ class Spec:
             raise self.wrong(key, value, "a whole number from 0")
         return None if value is None else int(value)
 
-    def texts(self, key, count, required=True):
+    def texts(self, key, count, required=True) -> Any:
         return self._list(key, str, f"a list of {count} column names", count, required)
 
     def vector(self, key, required=True):

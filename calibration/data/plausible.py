@@ -97,9 +97,8 @@ class _Rod:
     def fits(self, tip) -> bool:
         """Whether all of it is within reach, and some of it about as far as the rod is long."""
         distance = self.distance(tip)
-        return bool(np.all(distance <= self.reach)) and np.max(distance) > (
-            _ABOUT_ITS_LENGTH * self.length
-        )
+        far = np.max(distance) > _ABOUT_ITS_LENGTH * self.length
+        return bool(np.all(distance <= self.reach) and far)
 
 
 def _others(source: Source):

@@ -38,7 +38,7 @@ def held(
     size = jnp.sqrt(jnp.sum(across**2) + 1e-12)
     L = scene.length
     # M L^2 / 2 = rho A g L^4 / 8 + m g L^3 / 3: the tip stays where it is.
-    moment = bulk(scene).mass * size * L / 4
+    moment = jnp.asarray(bulk(scene).mass) * size * L / 4
     if scene.payload is not None:
         moment = moment + 2 / 3 * scene.payload.mass * size * L
     offset = _OFFSET * L

@@ -10,6 +10,7 @@ from typing import Any, NamedTuple
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from softrod_jax.bvp.collocation import Collocation
@@ -180,7 +181,10 @@ class Stepper(eqx.Module):
         return _step(self, state, action, state.jumps if jump is None else jnp.asarray(jump))
 
     def rollout(
-        self, state: RodState, actions: Action, jumps: Bool[Array, "steps"] | None = None
+        self,
+        state: RodState,
+        actions: Action,
+        jumps: Bool[Array | np.ndarray, "steps"] | None = None,
     ) -> tuple[RodState, RodView]:
         """Steps through `actions`, (steps, tendons) and (steps, chambers), one row a step.
 

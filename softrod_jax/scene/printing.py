@@ -97,7 +97,7 @@ def _quantity(value, number: Number) -> str:
     return f"{np.min(array):.6g} to {np.max(array):.6g}{unit}, of shape {array.shape}"
 
 
-def _plain(array: np.ndarray) -> str:
+def _plain(array: np.ndarray | np.floating) -> str:
     if array.ndim == 0:
         return f"{float(array):.6g}"
     return "[" + ", ".join(_plain(x) for x in array) + "]"
