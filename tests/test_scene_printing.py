@@ -2,6 +2,7 @@
 
 import jax
 import jax.numpy as jnp
+import pytest
 from test_scene_file import write
 from test_scene_language import WIDER
 
