@@ -26,7 +26,7 @@ from report import machine, publish, table
 
 import softrod_jax as sr
 from softrod_jax.scene.scene import as_arrays
-from softrod_jax.stepping.schemes import jumps
+from softrod_jax.stepping.step_inputs import jumps
 
 STEPS = 40
 KINDS = ("jump", "ramp", "saw", "pulse", "release", "two jumps")

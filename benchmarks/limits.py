@@ -30,6 +30,7 @@ from softrod_jax.bvp.unloaded import unloaded_guess
 from softrod_jax.foundation.compiling import compiler_options
 from softrod_jax.rod.constants import make_rod
 from softrod_jax.rod.ode import History, layout_of
+from softrod_jax.scene.inputs import Inputs
 
 DT, REPEATS = 15e-3, 7
 METHOD = sr.Collocation()
@@ -82,7 +83,7 @@ def parts():
     """{part: (function of one rod, its arguments)}."""
     tensions = jnp.array([0.1, 0.2, 0.3])
     rod_under = lambda tensions: make_rod(
-        SCENE, tensions, jnp.array([1e4]), grid=METHOD.grid(SCENE), spread_fronts=True
+        SCENE, Inputs(tensions, jnp.array([1e4])), grid=METHOD.grid(SCENE), spread_fronts=True
     )
     layout = layout_of(rod_under(tensions), dynamic=True)
     guess = unloaded_guess(layout, rod_under(tensions))

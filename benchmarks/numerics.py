@@ -23,7 +23,7 @@ from softrod_jax.bvp.boundary_value import Equations, search_directly
 from softrod_jax.bvp.unloaded import unloaded_guess
 from softrod_jax.rod import constants as rod
 from softrod_jax.rod.ode import History, Layout
-from softrod_jax.stepping import marching
+from softrod_jax.stepping import moving_rod
 
 PAGE = Path(__file__).parents[1] / "docs" / "pages" / "numerics.md"
 L = 0.1
@@ -187,12 +187,12 @@ def reuse() -> str:
     variants = (
         ("none: new ones for every correction", {"_REUSE": 0.0}, 0.0),
         ("within a solve", {}, 0.0),
-        ("and from one solve to the next", {}, marching._LEND),
+        ("and from one solve to the next", {}, moving_rod._REUSE),
     )
     rows = []
-    for name, constants, lend in variants:
+    for name, constants, reuse in variants:
         patches = [mock.patch.object(newton, k, v) for k, v in constants.items()]
-        with patched(*patches, mock.patch.object(marching, "_LEND", lend)), counted() as count:
+        with patched(*patches, mock.patch.object(moving_rod, "_REUSE", reuse)), counted() as count:
             row = [name]
             for dt in (10e-3, 2.5e-3):
                 count[0] = 0
@@ -226,10 +226,10 @@ def hard_jumps() -> str:
     """Of 40 jumps of a tension, 0.05 to 2 N, how many are solved with parts left out."""
 
     def plainly(equations, options, U, before):
-        return search_directly(equations, options, U, before.borrowed)
+        return search_directly(equations, options, U, before.reused)
 
     variants = [
-        ("Newton's method alone", [mock.patch.object(marching, "search_by_inertia", plainly)]),
+        ("Newton's method alone", [mock.patch.object(moving_rod, "search_by_inertia", plainly)]),
         ("no artificial viscosity", [mock.patch.object(rod, "_FRONT_VISCOSITY", 1e-12)]),
         ("everything", []),
     ]

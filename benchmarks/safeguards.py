@@ -22,13 +22,13 @@ from report import machine, publish, table
 import softrod_jax as sr
 from softrod_jax.bvp.boundary_value import search_directly
 from softrod_jax.rod import constants as rod
-from softrod_jax.stepping import marching
+from softrod_jax.stepping import moving_rod
 
 DT, STEPS, PAIRS = 15e-3, 400, 25
 
 
 def plainly(equations, options, U, before):
-    return search_directly(equations, options, U, before.borrowed)
+    return search_directly(equations, options, U, before.reused)
 
 
 def without_viscosity(*arguments, spread_fronts=False, **options):
@@ -39,10 +39,10 @@ def plain():
     """Everything that is left out, as patches."""
     nothing = lambda *_: jnp.zeros(())
     return (
-        mock.patch.object(marching, "search_by_inertia", plainly),
-        mock.patch.object(marching, "make_rod", without_viscosity),
+        mock.patch.object(moving_rod, "search_by_inertia", plainly),
+        mock.patch.object(moving_rod, "make_rod", without_viscosity),
         mock.patch.object(sr.Collocation, "error_in_motion", nothing),
-        mock.patch.object(marching, "accumulated", nothing),
+        mock.patch.object(moving_rod, "accumulated", nothing),
     )
 
 

@@ -24,6 +24,7 @@ import softrod_jax as sr
 from softrod_jax.bvp.unloaded import unloaded_guess
 from softrod_jax.rod.constants import make_rod
 from softrod_jax.rod.ode import layout_of
+from softrod_jax.scene.inputs import Inputs
 from softrod_jax.scene.scene import as_arrays
 
 DT, STEPS, REPEATS = 5e-3, 100, 9
@@ -132,7 +133,7 @@ def programs_inside(equation) -> list[Jaxpr]:
 def count_unknowns(function, scene) -> int:
     """At each point along the rod."""
     dynamic, method = function is not equilibrium, sr.Collocation()
-    rod = make_rod(scene, *actuation(scene), dynamic=dynamic, grid=method.grid(scene))
+    rod = make_rod(scene, Inputs(*actuation(scene)), dynamic=dynamic, grid=method.grid(scene))
     layout = layout_of(rod, dynamic=dynamic)
     return method.unknowns(unloaded_guess(layout, rod), rod).shape[1]
 

@@ -23,12 +23,15 @@ from softrod_jax.rod.markers import seen
 from softrod_jax.rod.rotations import to_base
 from softrod_jax.rod.validity import usable_in_time
 from softrod_jax.scene.checks import checked_scene
-from softrod_jax.scene.inputs import actuation, time_step, whole_number
+from softrod_jax.scene.inputs import Inputs, checked_inputs, time_step, whole_number
 from softrod_jax.scene.scene import Scene
 from softrod_jax.statics import StaticSolution
-from softrod_jax.stepping.marching import MOST_SUBSTEPS, Beginning, march
-from softrod_jax.stepping.schemes import SDIRK, AbstractTimeScheme
+from softrod_jax.stepping.marching import march, stepping_of
+from softrod_jax.stepping.moving_rod import Beginning
+from softrod_jax.stepping.scheme import AbstractTimeScheme
+from softrod_jax.stepping.sdirk import SDIRK
 from softrod_jax.stepping.step_control import advice, run_checked, run_within
+from softrod_jax.stepping.substeps import MOST_SUBSTEPS
 
 
 class Track(eqx.Module):
@@ -122,8 +125,8 @@ def simulate(
     """
     require_float64("simulate")
     given, scene = scene, checked_scene("simulate", scene)
-    tensions, pressures = actuation("simulate", scene, tensions, pressures, ndim=2)
-    steps = _count_steps(steps, tensions, pressures)
+    inputs = checked_inputs("simulate", scene, Inputs(tensions, pressures), ndim=2)
+    steps = _count_steps(steps, inputs)
     dt = time_step("simulate", dt)
     fixed_grid = method is not None or initial is not None
     if method is None:
@@ -139,10 +142,9 @@ def simulate(
     fixed_steps = substeps is not None
     substeps = whole_number("simulate", "substeps", substeps) if fixed_steps else 1
     limit = jnp.asarray(max_time_error, dtype=float)
-    traced = is_traced(scene, dt, tensions, pressures, begin, tolerance, limit)
+    traced = is_traced(scene, dt, inputs, begin, tolerance, limit)
 
     def run(substeps, method=method, limit=limit):
-        inputs = (tensions, pressures)
         return _simulate(scene, dt, inputs, begin, steps, substeps, scheme, method, newton, limit)
 
     if tolerance is None and traced:
@@ -185,16 +187,9 @@ def simulate(
     return trajectory
 
 
-def _count_steps(steps, tensions, pressures) -> int:
-    lengths = {
-        name: n
-        for name, n in (
-            ("steps", None if steps is None else whole_number("simulate", "steps", steps)),
-            ("tensions", None if tensions is None else tensions.shape[0]),
-            ("pressures", None if pressures is None else pressures.shape[0]),
-        )
-        if n is not None
-    }
+def _count_steps(steps, inputs: Inputs) -> int:
+    lengths = {} if steps is None else {"steps": whole_number("simulate", "steps", steps)}
+    lengths |= {name: x.shape[0] for name, x in inputs._asdict().items() if x is not None}
     if not lengths:
         raise ValueError("simulate: no inputs; say how many `steps`")
     if len(set(lengths.values())) > 1:
@@ -208,9 +203,9 @@ def _count_steps(steps, tensions, pressures) -> int:
 @compiled
 def _simulate(scene, dt, inputs, begin, steps, substeps, scheme, method, options, limit):
     scene, dt, good = usable_in_time(scene, dt)
-    strains, velocities, results, stats = march(
-        scene, dt, inputs, begin, steps, substeps, scheme, method, options, good
-    )
+    first = jax.tree.map(lambda x: x[0], inputs)
+    stepping = stepping_of(scene, dt, first, substeps, scheme, method, options)
+    strains, velocities, results, stats = march(stepping, inputs, begin, steps, good)
     base, h_base = clamp_pose(scene)
     grid = method.grid(scene)
     positions, quaternions = jax.vmap(lambda strain: method.shape(strain, grid, base, h_base))(

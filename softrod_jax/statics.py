@@ -11,7 +11,7 @@ from softrod_jax.bvp.boundary_value import (
     solve_boundary_value,
 )
 from softrod_jax.bvp.collocation import Collocation
-from softrod_jax.bvp.dynamic_relaxation import settle
+from softrod_jax.bvp.dynamic_relaxation import dynamic_relaxation
 from softrod_jax.bvp.grid_control import (
     DEFAULT_TOLERANCE,
     first_grid,
@@ -33,7 +33,7 @@ from softrod_jax.rod.ode import layout_of
 from softrod_jax.rod.shape import Pose, pose_between
 from softrod_jax.rod.validity import usable
 from softrod_jax.scene.checks import checked_scene
-from softrod_jax.scene.inputs import actuation, good_inputs, zero_unless
+from softrod_jax.scene.inputs import Inputs, checked_inputs, good_inputs, zero_unless
 from softrod_jax.scene.planes import in_space
 from softrod_jax.scene.scene import Scene
 
@@ -107,8 +107,8 @@ def solve_static(
     """
     require_float64("solve_static")
     given, scene = scene, checked_scene("solve_static", scene)
-    tensions, pressures = actuation("solve_static", scene, tensions, pressures, ndim=1)
-    arguments = (scene, tensions, pressures)
+    inputs = checked_inputs("solve_static", scene, Inputs(tensions, pressures), ndim=1)
+    arguments = (scene, inputs)
     traced = is_traced(arguments)
     if tolerance is not None and (traced or is_traced(tolerance) or not 0 < tolerance < 1):
         raise ValueError(
@@ -125,25 +125,25 @@ def solve_static(
     return solution
 
 
-def _solve(scene, tensions, pressures, method, options, traced):
-    solution = _solve_static(scene, tensions, pressures, method, options)
+def _solve(scene, inputs, method, options, traced):
+    solution = _solve_static(scene, inputs, method, options)
     if not traced and int(solution.result) in (RESULTS.diverged, RESULTS.max_iterations):
-        return _settled(scene, tensions, pressures, method, options)
+        return _relaxed(scene, inputs, method, options)
     return solution
 
 
 @compiled
-def _solve_static(scene, tensions, pressures, method, options):
-    scene, rod, valid, layout, guess = _problem(scene, tensions, pressures, method)
+def _solve_static(scene, inputs, method, options):
+    scene, rod, valid, layout, guess = _problem(scene, inputs, method)
     solved = solve_boundary_value(method, layout, options, rod, None, guess, search_by_load)
     return _solution(scene, rod, method, solved, valid, jnp.zeros((), jnp.int32))
 
 
 @compiled
-def _settled(scene, tensions, pressures, method, options):
+def _relaxed(scene, inputs, method, options):
     """By a damped motion, and Newton's method from where it comes to rest."""
-    scene, rod, valid, layout, guess = _problem(scene, tensions, pressures, method)
-    rest = settle(method, layout, options, rod, guess)
+    scene, rod, valid, layout, guess = _problem(scene, inputs, method)
+    rest = dynamic_relaxation(method, layout, options, rod, guess)
     solved = solve_boundary_value(method, layout, options, rod, None, rest.guess)
     found = solved.found
     moving = jnp.where(rest.at_rest, found.result, RESULTS.diverged).astype(jnp.int32)
@@ -151,11 +151,9 @@ def _settled(scene, tensions, pressures, method, options):
     return _solution(scene, rod, method, solved, valid, rest.steps)
 
 
-def _problem(scene, tensions, pressures, method):
-    inputs = (tensions, pressures)
-    scene, valid = usable(scene, good_inputs(*inputs), *inputs)
-    tensions, pressures = zero_unless(valid, inputs)
-    rod = make_rod(scene, tensions, pressures, dynamic=False, grid=method.grid(scene))
+def _problem(scene, inputs, method):
+    scene, valid = usable(scene, good_inputs(inputs), inputs)
+    rod = make_rod(scene, zero_unless(valid, inputs), dynamic=False, grid=method.grid(scene))
     layout = layout_of(rod, dynamic=False)
     return scene, rod, valid, layout, unloaded_guess(layout, rod)
 

@@ -14,6 +14,7 @@ from softrod_jax.bvp.boundary_value import Equations
 from softrod_jax.bvp.unloaded import unloaded_guess
 from softrod_jax.rod.constants import make_rod
 from softrod_jax.rod.ode import History, layout_of
+from softrod_jax.scene.inputs import Inputs
 from softrod_jax.scene.scene import as_arrays
 
 METHOD = sr.Collocation()
@@ -44,8 +45,8 @@ def accuracies():
     def measure(young_modulus, dt):
         scene = dataclasses.replace(robot, young_modulus=young_modulus)
         grid = METHOD.grid(scene)
-        inputs = jnp.array([0.1, 0.0, 0.2]), jnp.array([1e4])
-        rod = make_rod(scene, *inputs, grid=grid, spread_fronts=True)
+        inputs = Inputs(jnp.array([0.1, 0.0, 0.2]), jnp.array([1e4]))
+        rod = make_rod(scene, inputs, grid=grid, spread_fronts=True)
         layout = layout_of(rod, dynamic=True)
         guess = unloaded_guess(layout, rod)
         history = History(1.5 / dt, -1.5 / dt * guess.strain, jnp.zeros_like(guess.strain))

@@ -14,7 +14,7 @@ import softrod_jax as sr
 from softrod_jax import dynamics, statics
 from softrod_jax.scene.scene import as_arrays
 
-SHARED = Path(__file__).parents[2] / "shared" / "reference"
+REFERENCES = json.loads((Path(__file__).parent / "references" / "dynamic.json").read_text("utf-8"))
 
 
 def with_(scene, **changes):
@@ -78,19 +78,13 @@ def test_frequency_with_a_payload():
     np.testing.assert_allclose(w[0], omega, rtol=1e-3)
 
 
-def _reference_cases():
-    path = SHARED / "dynamic.json"
-    return json.loads(path.read_text())["cases"] if path.exists() else {}
-
-
-@pytest.mark.skipif(not _reference_cases(), reason="shared/reference/dynamic.json is absent")
 @pytest.mark.parametrize(
     "name, limit",
     [("gravity_step", 5e-5), ("tendon_step_0.1N", 1e-3), ("tendon_ramp_0.3N_50ms", 5e-5)],
 )
 def test_independent_motions(name, limit):
     """Tip over 1 s at dt = 1 ms, default settings."""
-    case, dt, steps = _reference_cases()[name], 1e-3, 1000
+    case, dt, steps = REFERENCES[name], 1e-3, 1000
     load, t = case["load"], dt * np.arange(1, 1001)
     scene = with_(sr.hybrid_robot(), drag_coefficient=None)
     tensions = None
@@ -102,9 +96,8 @@ def test_independent_motions(name, limit):
         tensions[:, 0] = load["tau"] * x**3 * (10 - 15 * x + 6 * x**2)
     motion = sr.simulate(scene, dt, tensions, steps=steps)
     tip = np.array(motion.tip_positions)[::5]
-    path = case["trajectory"]
-    assert np.abs(tip[:, 0] - path["x"]).max() < limit
-    assert np.abs(tip[:, 2] - path["z"]).max() < limit
+    assert np.abs(tip[:, 0] - case["x"]).max() < limit
+    assert np.abs(tip[:, 2] - case["z"]).max() < limit
     assert np.abs(tip[:, 1]).max() < 1e-12
 
 
@@ -119,7 +112,6 @@ def test_independent_motions(name, limit):
     ],
     ids=str,
 )
-@pytest.mark.skipif(not _reference_cases(), reason="shared/reference/dynamic.json is absent")
 @pytest.mark.long
 def test_order_on_the_gravity_step(scheme, dts, ratio, limit):
     errors = [_gravity_step(scheme, dt)[0] for dt in dts]
@@ -127,7 +119,6 @@ def test_order_on_the_gravity_step(scheme, dts, ratio, limit):
     assert np.all(np.array(errors[:-1]) / errors[1:] > ratio), errors
 
 
-@pytest.mark.skipif(not _reference_cases(), reason="shared/reference/dynamic.json is absent")
 @pytest.mark.long
 @pytest.mark.parametrize(
     "alpha, scheme, steps", [(-0.2, sr.SDIRK(), 53), (-0.45, sr.SDIRK(3, stages=6), 33)], ids=str
@@ -142,7 +133,7 @@ def test_a_tenth_of_the_error_of_bdf_alpha_at_equal_cost(alpha, scheme, steps):
 
 def _gravity_step(scheme, dt):
     """The largest error of the tip over 1 s, against the independent solution; evaluations."""
-    path = _reference_cases()["gravity_step"]["trajectory"]
+    path = REFERENCES["gravity_step"]
     scene = with_(sr.hybrid_robot(), gravity=jnp.array([-9.81, 0.0, 0.0]), drag_coefficient=None)
     motion = sr.simulate(scene, dt, steps=round(1 / dt), scheme=scheme)
     answer = CubicSpline(5e-3 * np.arange(len(path["x"])), np.stack([path["x"], path["z"]], axis=1))
@@ -173,10 +164,9 @@ def test_tip_velocity_is_the_rate_of_the_tip():
 
 
 @pytest.mark.parametrize("scheme", [sr.BDFAlpha(), sr.BDFAlpha(-0.2), sr.SDIRK(4)], ids=str)
-@pytest.mark.skipif(not _reference_cases(), reason="shared/reference/dynamic.json is absent")
 def test_the_estimated_error_in_time(scheme):
     """Not below the true one, and not over twelve times it, with its factor of caution of 1.3."""
-    path, dt = _reference_cases()["gravity_step"]["trajectory"], 1e-2
+    path, dt = REFERENCES["gravity_step"], 1e-2
     scene = with_(sr.hybrid_robot(), gravity=jnp.array([-9.81, 0.0, 0.0]), drag_coefficient=None)
     motion = sr.simulate(scene, dt, steps=100, scheme=scheme)
     error = np.abs(np.array(motion.tip_positions[:, 0]) - np.array(path["x"])[::2]).max() / 0.1

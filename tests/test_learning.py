@@ -14,7 +14,7 @@ import pytest
 import softrod_jax as sr
 from softrod_jax import learning
 from softrod_jax.learning import Action, Stepper, reset_where
-from softrod_jax.stepping.schemes import jumps
+from softrod_jax.stepping.step_inputs import jumps
 
 SCENE = sr.hybrid_robot(gravity=jnp.array([-2.0, 0.0, 9.81]))
 GRID, DT, STEPS = sr.Collocation(4, order=6), 0.03, 10

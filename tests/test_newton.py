@@ -1,4 +1,4 @@
-"""Newton's method: convergence, damping, and factors borrowed from another problem."""
+"""Newton's method: convergence, damping, and factors reused from another problem."""
 
 import jax
 import jax.numpy as jnp
@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import softrod_jax as sr
-from softrod_jax.bvp.newton import Borrowed, NewtonOptions, newton
+from softrod_jax.bvp.newton import NewtonOptions, ReusedFactors, newton
 
 
 def equations(x):
@@ -15,7 +15,7 @@ def equations(x):
     return jnp.stack([a**3 + a * b - 3, jnp.exp(b - 2) * a - 1])
 
 
-def solve(y, borrowed=None, evaluate=equations, **options):
+def solve(y, reused=None, evaluate=equations, **options):
     return newton(
         evaluate,
         jax.jacfwd(evaluate),
@@ -23,50 +23,50 @@ def solve(y, borrowed=None, evaluate=equations, **options):
         jnp.array(y),
         1.0,
         NewtonOptions(**options),
-        borrowed=borrowed,
+        reused=reused,
     )
 
 
-def lend(at, usable=True):
-    return Borrowed(jax.jacfwd(equations)(jnp.array(at)), jnp.array(usable))
+def factors_at(at, usable=True):
+    return ReusedFactors(jax.jacfwd(equations)(jnp.array(at)), jnp.array(usable))
 
 
 @pytest.mark.parametrize(
-    "borrowed",
+    "reused",
     [
         None,
-        lend([1.0, 2.0]),
-        lend([1.05, 1.9]),
-        lend([2.0, -1.0]),  # of little use
-        Borrowed(-lend([1.0, 2.0]).factors, jnp.array(True)),  # leads away
-        Borrowed(jnp.zeros((2, 2)), jnp.array(True)),  # gives no numbers
-        Borrowed(jnp.zeros((2, 2)), jnp.array(False)),  # says so itself
+        factors_at([1.0, 2.0]),
+        factors_at([1.05, 1.9]),
+        factors_at([2.0, -1.0]),  # of little use
+        ReusedFactors(-factors_at([1.0, 2.0]).factors, jnp.array(True)),  # leads away
+        ReusedFactors(jnp.zeros((2, 2)), jnp.array(True)),  # gives no numbers
+        ReusedFactors(jnp.zeros((2, 2)), jnp.array(False)),  # says so itself
     ],
     ids=["none", "exact", "near", "far", "wrong", "singular", "not_usable"],
 )
-def test_borrowed_factors_change_the_way_and_not_the_answer(borrowed):
-    end = solve([1.2, 1.7], borrowed)
+def test_reused_factors_change_the_way_and_not_the_answer(reused):
+    end = solve([1.2, 1.7], reused)
     assert int(end.result) == sr.RESULTS.successful
     np.testing.assert_allclose(end.y, [1.0, 2.0], atol=1e-9)
 
 
 def test_factors_that_serve_are_kept():
-    end = solve([1.001, 1.999], lend([1.0, 2.0]))
-    np.testing.assert_array_equal(end.factors, lend([1.0, 2.0]).factors)
+    end = solve([1.001, 1.999], factors_at([1.0, 2.0]))
+    np.testing.assert_array_equal(end.factors, factors_at([1.0, 2.0]).factors)
     assert float(end.contraction) < 1e-2
 
 
-def test_borrowed_factors_do_not_make_a_start_the_solution():
+def test_reused_factors_do_not_make_a_start_the_solution():
     """A huge Jacobian makes the first correction tiny wherever it is."""
-    end = solve([1.2, 1.7], Borrowed(1e13 * jnp.eye(2), jnp.array(True)))
+    end = solve([1.2, 1.7], ReusedFactors(1e13 * jnp.eye(2), jnp.array(True)))
     assert int(end.result) != sr.RESULTS.successful or np.allclose(end.y, [1.0, 2.0], atol=1e-9)
 
 
 def test_a_batch_is_a_loop():
     starts = jnp.array([[1.2, 1.7], [0.9, 2.2], [3.0, 0.0]])
-    batch = jax.vmap(lambda y: solve(y, lend([1.0, 2.0])))(starts)
+    batch = jax.vmap(lambda y: solve(y, factors_at([1.0, 2.0])))(starts)
     for k, y in enumerate(starts):
-        one = solve(y, lend([1.0, 2.0]))
+        one = solve(y, factors_at([1.0, 2.0]))
         assert int(batch.result[k]) == int(one.result)
         np.testing.assert_allclose(batch.y[k], one.y, atol=1e-12)
 

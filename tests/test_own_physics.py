@@ -1,4 +1,4 @@
-"""Energies, materials and distributed loads that exist only here: one class each.
+"""Energies, materials, distributed loads and a time scheme that exist only here: one class each.
 
 Each works in statics, motions, derivatives, batches and continuation, and none of it is known to
 the package.
@@ -6,14 +6,18 @@ the package.
 
 import dataclasses
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
 import softrod_jax as sr
+from softrod_jax.rod.constants import make_rod
+from softrod_jax.rod.ode import layout_of
 from softrod_jax.rod.rotations import to_body
 from softrod_jax.scene.scene import as_arrays
+from softrod_jax.stepping.scheme import AbstractTimeScheme, LocalErrors, combine
 
 METHOD = sr.Collocation(6)
 L, R, E = 0.1, 6e-3, 5e4
@@ -201,3 +205,109 @@ def test_continuation_raises_loads_of_ones_own():
     gravity = sr.solve_static(rod(gravity=40 * ACROSS))
     assert int(own.stats["load_steps"]) > 1
     np.testing.assert_allclose(own.tip_position, gravity.tip_position, rtol=0, atol=1e-8)
+
+
+class Bed(sr.AbstractDistributedLoad):
+    """Springs across the rod, k [N/m^2], to the line along z from `origin` (Winkler's bed)."""
+
+    k: jax.Array
+    origin: jax.Array
+    needs_position = True
+
+    def wrench(self, here):
+        off = (here.position - self.origin) * jnp.array([1.0, 1.0, 0.0])
+        return to_body(here.quaternion, -self.k * off), jnp.zeros(3)
+
+
+BED = 4 * EI * (2.5 / L) ** 4
+
+
+def on_a_bed(force, k=BED, **changes):
+    bed = Bed(jnp.asarray(k), np.asarray(changes.get("base_position", np.zeros(3))))
+    load = sr.TipLoad(force=force * np.array([EI / L**2, 0.0, 0.0]))
+    return rod(distributed_loads=(bed,), tip_load=load, **changes)
+
+
+@pytest.mark.parametrize("method", [METHOD, sr.Shooting(4, 10)], ids=["collocation", "shooting"])
+@pytest.mark.parametrize("plane", [None, "xz"])
+def test_a_bed_of_springs_has_its_closed_form(method, plane):
+    """Hetenyi, Beams on Elastic Foundation (1946): a cantilever under a force at its free end."""
+    force = 1e-4
+    scene = on_a_bed(force, inextensible=True, plane=plane, base_position=np.array([0.3, 0.2, 0.1]))
+    tip = sr.solve_static(scene, method=method).tip_position - np.array([0.3, 0.2, 0.1])
+    x = 2.5
+    shape = np.sinh(x) * np.cosh(x) - np.sin(x) * np.cos(x)
+    expected = 2 * force * EI / L**2 * (x / L) / BED * shape / (np.cosh(x) ** 2 + np.cos(x) ** 2)
+    np.testing.assert_allclose(tip[:2], [expected, 0.0], rtol=1e-6, atol=1e-12)
+
+
+def test_a_bed_of_springs_in_motion():
+    """A damped rod comes to rest where statics is; derivatives agree, and a batch is a loop."""
+    damped = dict(bending_damping=5e-6, inextensible=True)
+
+    def tip(force, k):
+        scene = on_a_bed(force, k, **damped)
+        motion = sr.simulate(
+            scene, 0.5, steps=20, method=METHOD, scheme=sr.SDIRK(2), max_time_error=1e9, throw=False
+        )
+        return motion.tip_positions[-1]
+
+    still = sr.solve_static(on_a_bed(5.0, **damped), method=METHOD)
+    assert still.tip_position[0] > 0.1 * L
+    np.testing.assert_allclose(jax.jit(tip)(5.0, BED), still.tip_position, rtol=0, atol=1e-6)
+    by = jax.jit(jax.jacfwd(tip, argnums=(0, 1)))(5.0, BED)
+    reverse = jax.jit(jax.jacrev(tip, argnums=(0, 1)))(5.0, BED)
+    np.testing.assert_allclose(by, reverse, rtol=1e-8, atol=1e-12)
+    batch = jax.jit(jax.vmap(tip, (0, None)))(jnp.array([4.999, 5.001]), BED)
+    np.testing.assert_allclose(by[0], (batch[1] - batch[0]) / 2e-3, rtol=0, atol=1e-5 * L)
+
+
+def test_the_position_is_an_unknown_only_where_a_load_asks():
+    grid = METHOD.grid(rod())
+    size = lambda scene: layout_of(make_rod(scene, grid=grid), dynamic=True).size
+    assert (size(rod()), size(windy()), size(on_a_bed(1.0))) == (12, 16, 19)
+
+
+class BackwardEuler(AbstractTimeScheme):
+    """y_1 = y_0 + dt y_t,1."""
+
+    stages: int = eqx.field(static=True, default=1, init=False)
+    order: int = eqx.field(static=True, default=1, init=False)
+    one_step: bool = eqx.field(static=True, default=False, init=False)
+
+    def coefficients(self, dt, restart):
+        return jnp.broadcast_to(1 / dt, restart.shape)
+
+    def start(self, y, guess):
+        return y, jax.tree.map(jnp.zeros_like, y)
+
+    def step(self, memory, coefficients, solve, carry):
+        (y0, rate0), c0 = memory, coefficients
+        history = jax.tree.map(lambda x: -c0 * x, y0)
+        y, carry = solve(c0, history, 1.0, carry)
+        rate = combine((c0, y), (1.0, history))
+        local = combine((0.5 / c0, rate), (-0.5 / c0, rate0))
+        return (y, rate), carry, LocalErrors(difference=local)
+
+
+def test_a_time_scheme_of_ones_own():
+    """Of first order, with an estimate above its error and derivatives of both kinds."""
+    scene = rod(gravity=ACROSS)
+
+    def end(factor, substeps):
+        motion = sr.simulate(
+            dataclasses.replace(scene, gravity=factor * ACROSS), 0.01, steps=5, substeps=substeps,
+            scheme=BackwardEuler(), method=METHOD, max_time_error=1e9, throw=False,
+        )  # fmt: skip
+        return motion.tip_positions[-1], motion.stats["time_error"][-1]
+
+    run = jax.jit(end, static_argnums=1)
+    right = jax.jit(lambda: sr.simulate(scene, 1e-3, steps=50, method=METHOD, throw=False))()
+    found = [run(1.0, n) for n in (8, 16)]
+    errors = [np.linalg.norm(tip - right.tip_positions[-1]) for tip, _ in found]
+    assert 1.7 < errors[0] / errors[1] < 2.5
+    for error, (_, estimate) in zip(errors, found, strict=True):
+        assert error < L * estimate < 20 * error
+    tip = lambda factor: end(factor, 4)[0]
+    forward, reverse = (jax.jit(by(tip))(1.0) for by in (jax.jacfwd, jax.jacrev))
+    np.testing.assert_allclose(forward, reverse, rtol=1e-9, atol=1e-12)

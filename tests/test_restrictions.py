@@ -13,6 +13,7 @@ import softrod_jax as sr
 from softrod_jax.rod.constants import full_strain, inner_strain, make_rod
 from softrod_jax.rod.constitutive import compliance, imbalance, local_problem, recover_strain
 from softrod_jax.rod.ode import History, Layout, layout_of, rod_ode, rod_ode_jacobian
+from softrod_jax.scene.inputs import Inputs
 from softrod_jax.scene.planes import in_space, turn_in, vector_in
 from softrod_jax.scene.scene import as_arrays
 
@@ -68,7 +69,7 @@ def full_and_restricted(plane, no_stretch, moving=True):
     """Rods, layouts, and a state with its history that both can have."""
     full = scene_in(plane)
     scene = with_(inextensible(full) if no_stretch else full, plane=plane)
-    rods = [make_rod(x, TENSIONS, PRESSURES, dynamic=moving) for x in (full, scene)]
+    rods = [make_rod(x, Inputs(TENSIONS, PRESSURES), dynamic=moving) for x in (full, scene)]
     layouts = [layout_of(rod, dynamic=moving) for rod in rods]
     y, history = random_point(9, Layout(attitude=True, dynamic=True))
     h, q, w, N, M = Layout(attitude=True, dynamic=True).split(y)
@@ -133,7 +134,7 @@ def test_strains_minimise_the_energy(plane, no_stretch):
 def test_a_tendon_path_vanishes_later_where_nothing_is_compressed():
     """At tau = EI / r^2, where curvature alone takes the path's length: 3.181 N, not 2.036 N."""
     rod = lambda tension: make_rod(
-        with_(sr.hybrid_robot(), inextensible=True), jnp.array([tension, 0.0, 0.0])
+        with_(sr.hybrid_robot(), inextensible=True), Inputs(jnp.array([tension, 0.0, 0.0]))
     )
     limit = float(rod(1.0).K_bt[1]) / 4e-3**2
     for tension in (0.999 * limit, 1.001 * limit):
@@ -145,7 +146,7 @@ def test_a_tendon_path_vanishes_later_where_nothing_is_compressed():
 def test_nothing_of_what_is_absent_is_in_the_program():
     def program(scene):
         def one(scene):
-            rod = make_rod(scene, TENSIONS, PRESSURES, spread_fronts=True)
+            rod = make_rod(scene, Inputs(TENSIONS, PRESSURES), spread_fronts=True)
             layout = layout_of(rod, dynamic=True)
             still = jnp.ones(layout.pair)
             strain = inner_strain(jnp.ones(6), rod)

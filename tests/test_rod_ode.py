@@ -19,6 +19,7 @@ from softrod_jax.rod.ode import (
     to_body_by_attitude,
 )
 from softrod_jax.rod.rotations import hat, quaternion_exp, rotation_matrix, to_body
+from softrod_jax.scene.inputs import Inputs
 from softrod_jax.scene.scene import as_arrays
 
 
@@ -64,7 +65,7 @@ def random_point(seed, layout):
 @pytest.mark.parametrize("seed", [0, 1, 2])
 def test_total_wrench_form_equals_the_papers(seed):
     scene = full_scene()
-    rod = make_rod(scene, TENSIONS, PRESSURES)
+    rod = make_rod(scene, Inputs(TENSIONS, PRESSURES))
     layout = Layout(attitude=True, dynamic=True)
     y, history = random_point(seed, layout)
     guess = jnp.array([0.0, 0, 1, 0, 0, 0])
@@ -94,7 +95,7 @@ def test_total_wrench_form_equals_the_papers(seed):
 
 def test_kinematics_are_those_of_a_moving_frame():
     scene = full_scene()
-    rod = make_rod(scene, TENSIONS, PRESSURES)
+    rod = make_rod(scene, Inputs(TENSIONS, PRESSURES))
     layout = Layout(attitude=True, dynamic=True)
     y, history = random_point(3, layout)
     rates = rod_ode(y, rod, layout, history, jnp.array([0.0, 0, 1, 0, 0, 0]))
@@ -113,7 +114,7 @@ def test_kinematics_are_those_of_a_moving_frame():
 @pytest.mark.parametrize("tendons", [True, False])
 def test_jacobian_is_the_derivative(attitude, tendons):
     none = {} if attitude else dict(gravity=None, tip_load=None)
-    rod = make_rod(full_scene(**none), TENSIONS if tendons else None, PRESSURES)
+    rod = make_rod(full_scene(**none), Inputs(TENSIONS if tendons else None, PRESSURES))
     layout = Layout(attitude=attitude, dynamic=True)
     y, history = random_point(4, layout)
     guess = jnp.array([0.0, 0, 1, 0, 0, 0])
@@ -125,7 +126,7 @@ def test_jacobian_is_the_derivative(attitude, tendons):
 
 
 def test_static_jacobian_is_the_derivative():
-    rod = make_rod(full_scene(), TENSIONS, PRESSURES, dynamic=False)
+    rod = make_rod(full_scene(), Inputs(TENSIONS, PRESSURES), dynamic=False)
     layout = Layout(attitude=True, dynamic=False)
     y, _ = random_point(5, Layout(attitude=True, dynamic=True))
     y = jnp.concatenate([y[:4], y[-6:]])
@@ -145,7 +146,7 @@ def test_attitude_derivative():
 
 
 def test_strains_minimise_the_energy():
-    rod = make_rod(full_scene(), TENSIONS, PRESSURES)
+    rod = make_rod(full_scene(), Inputs(TENSIONS, PRESSURES))
     rng = np.random.default_rng(7)
     wrench = jnp.array(rng.normal(size=(50, 6))) * jnp.array([0.05] * 3 + [1e-4] * 3)
     problem = local_problem(rod, wrench)
@@ -174,9 +175,9 @@ def test_strains_minimise_the_energy():
 
 def test_the_viscosity_of_fronts_follows_from_a_potential():
     """tau_i mu |l_t|^3 / (3 c0) for each tendon's path, on top of the energy."""
-    plain = make_rod(full_scene(), TENSIONS, PRESSURES)
+    plain = make_rod(full_scene(), Inputs(TENSIONS, PRESSURES))
     grid = uniform_grid(full_scene().length, 5, np.zeros(1))
-    rod = make_rod(full_scene(), TENSIONS, PRESSURES, grid=grid, spread_fronts=True)
+    rod = make_rod(full_scene(), Inputs(TENSIONS, PRESSURES), grid=grid, spread_fronts=True)
     rng = np.random.default_rng(8)
     wrench = jnp.array(rng.normal(size=(20, 6))) * jnp.array([0.05] * 3 + [1e-4] * 3)
     c0, history = jnp.array(800.0), jnp.array(rng.normal(size=(20, 6))) * 5
@@ -204,7 +205,7 @@ def test_the_viscosity_of_fronts_follows_from_a_potential():
 
 def test_second_derivative_of_the_strains():
     """The implicit derivative can be differentiated again: no constant was frozen into it."""
-    rod = make_rod(full_scene(), TENSIONS, PRESSURES)
+    rod = make_rod(full_scene(), Inputs(TENSIONS, PRESSURES))
     wrench = jnp.array([0.02, 0.01, -0.03, 1e-4, -2e-4, 1e-4])
     guess = jnp.array([0.0, 0, 1, 0, 0, 0])
 
@@ -221,7 +222,7 @@ def test_second_derivative_of_the_strains():
 def test_a_tendon_path_that_shrinks_to_nothing_is_reported():
     scene = sr.hybrid_robot()
     for tension, exists in [(2.03, True), (2.04, False), (3.0, False)]:
-        rod = make_rod(scene, jnp.array([tension, 0.0, 0.0]), None)
+        rod = make_rod(scene, Inputs(jnp.array([tension, 0.0, 0.0]), None))
         problem = local_problem(rod, jnp.zeros((1, 6)))
         _, solvable = recover_strain(problem, jnp.array([[0.0, 0, 1, 0, 0, 0]]))
         assert bool(solvable) == exists, tension
@@ -231,7 +232,7 @@ def test_absent_parts_are_not_in_the_program():
     """A scene without tendons, drag or gravity has nothing of them in its equations."""
 
     def count(scene, tensions):
-        rod = make_rod(scene, tensions, None)
+        rod = make_rod(scene, Inputs(tensions, None))
         layout = Layout(attitude=rod.has_dead_load, dynamic=True)
         y, history = jnp.ones(layout.size), History(jnp.ones(()), jnp.ones(6), jnp.ones(6))
         jaxpr = jax.make_jaxpr(lambda y: rod_ode(y, rod, layout, history, jnp.ones(6)).y_s)(y)
@@ -274,7 +275,7 @@ def test_absent_parts_are_not_in_the_program():
 
 def test_tip_condition():
     scene = full_scene()
-    rod = make_rod(scene, TENSIONS, PRESSURES)
+    rod = make_rod(scene, Inputs(TENSIONS, PRESSURES))
     layout = Layout(attitude=True, dynamic=True)
     y, history = random_point(8, layout)
     tip = tip_condition(y, rod, layout, history)

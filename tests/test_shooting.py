@@ -12,6 +12,7 @@ import softrod_jax as sr
 from softrod_jax.bvp.shooting import Shooting
 from softrod_jax.rod.constants import make_rod
 from softrod_jax.rod.ode import History, Layout, rod_ode
+from softrod_jax.scene.inputs import Inputs
 from softrod_jax.scene.scene import as_arrays
 
 
@@ -40,7 +41,7 @@ def smooth_history(s, c0=60.0):
     return History(jnp.array(c0), -c0 * (rest + size * wave), c0 * 0.01 * wave)
 
 
-ROD, LAYOUT = make_rod(FULL, None, PRESSURES), Layout(attitude=True, dynamic=True)
+ROD, LAYOUT = make_rod(FULL, Inputs(None, PRESSURES)), Layout(attitude=True, dynamic=True)
 START = jnp.array([1, 0, 0, 0] + [0.01] * 6 + [1e-3, 2e-3, 3e-3] + [1e-5, 2e-5, 3e-5], float)
 STRAIGHT = jnp.array([0.0, 0, 1, 0, 0, 0])
 
@@ -122,7 +123,7 @@ def assert_slopes_agree(derivative, f, x, steps, tolerance):
 )
 def test_derivatives_of_the_defects(method, tensions):
     grid = method.grid(FULL)
-    rod, points = make_rod(FULL, tensions, PRESSURES, grid=grid), grid.s
+    rod, points = make_rod(FULL, Inputs(tensions, PRESSURES), grid=grid), grid.s
     guess, history = jnp.tile(STRAIGHT, (points.shape[0], 1)), smooth_history(points)
     Y = jnp.tile(START, (3, 1))
     # Inputs: length, stiffness, strain history, and the state at the base.
@@ -152,7 +153,7 @@ def test_derivatives_of_the_defects(method, tensions):
 
 
 def test_single_shooting_finds_a_known_equilibrium():
-    # shared/reference/static.json, g_tau0.3: solved apart from this project, to 1e-15.
+    # references/static.json, g_tau0.3: solved apart from this project, to 1e-15.
     rod = sr.solve_static(robot(), [0.3, 0.0, 0.0], [0.0], method=Shooting())
     tip = [-0.05950139883669897, 0.0, 0.07027684856429334]
     np.testing.assert_allclose(rod.tip_position, tip, atol=1e-6)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import softrod_jax as sr
-from softrod_jax.stepping.schemes import jumps
+from softrod_jax.stepping.step_inputs import jumps
 
 
 class Carry(NamedTuple):

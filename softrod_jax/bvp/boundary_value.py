@@ -16,12 +16,13 @@ from jaxtyping import Array, Bool, Float, Int
 
 from softrod_jax.bvp.block_sweep import factorise, has_no_conjugate_point, solve_sweeps
 from softrod_jax.bvp.method import AbstractMethod, Guess
-from softrod_jax.bvp.newton import Borrowed, NewtonOptions, newton
+from softrod_jax.bvp.newton import NewtonOptions, ReusedFactors, newton
 from softrod_jax.foundation.results import RESULTS
 from softrod_jax.rod.boundary_conditions import tip_condition
 from softrod_jax.rod.constants import Rod
 from softrod_jax.rod.constitutive import shortest_path
 from softrod_jax.rod.ode import History, Layout, sizes
+from softrod_jax.scene.planes import vector_in
 
 # Where a solve fails with less than this left of the rod's length anywhere, or of a tendon's path,
 # that is why.
@@ -91,10 +92,11 @@ class Equations(NamedTuple):
         return self.rod, self.layout, self.history, self.guess
 
     def base(self):
-        """(h, q, omega) at the clamp (paper eq. 13)."""
+        """(p, h, q, omega) at the clamp (paper eq. 13)."""
+        p = vector_in(self.rod.plane, self.rod.p_base)
         h = self.rod.h_base if self.layout.attitude else None
         still = jnp.zeros(self.layout.pair) if self.layout.dynamic else None
-        parts = [x for x in (h, still) if x is not None]
+        parts = [x for x in (p, h, still) if x is not None]
         return jnp.concatenate(parts) if parts else jnp.zeros(0)
 
     def start(self, guess: Guess):
@@ -156,7 +158,7 @@ class Equations(NamedTuple):
 
 
 def search_directly(
-    equations: Equations, options: NewtonOptions, U, borrowed: Borrowed | None = None
+    equations: Equations, options: NewtonOptions, U, reused: ReusedFactors | None = None
 ):
     """Newton's method from `U`: the unknowns, how they were found, and the last factors."""
     layout = equations.layout
@@ -168,7 +170,7 @@ def search_directly(
         equations.scale(U),
         options,
         exact_factors=not layout.dynamic,
-        borrowed=borrowed,
+        reused=reused,
     )
     one, stable = jnp.ones((), jnp.int32), jnp.array(True)
     if not layout.dynamic:
@@ -186,14 +188,14 @@ def solve_boundary_value(
     guess: Guess,
     search: Callable = search_directly,
     before: Any = None,
-    lend_exact: bool = False,
+    reuse_exact: bool = False,
 ) -> Solved:
     """Solve along the rod. Differentiable in `rod` and `history`.
 
     `search(equations, options, U, before)` finds the unknowns from their guess `U`, and returns
     what `search_directly` does; `before` is whatever else it needs.
 
-    `lend_exact`: where a derivative is taken, hand on the factors at the solution, which it needs.
+    `reuse_exact`: where a derivative is taken, hand on the factors at the solution, which it needs.
     The next solve then makes none, but in reverse mode they are made twice.
 
     A sample that fails has the derivative zero. In statics it keeps its last iterate, in a
@@ -206,7 +208,7 @@ def solve_boundary_value(
         layout=layout,
         options=options,
         search=search,
-        lend_exact=lend_exact,
+        reuse_exact=reuse_exact,
     )
     result, strain = found.result, jax.lax.stop_gradient(guess.strain)
     equations = Equations(method, layout, rod, history, strain)
@@ -253,7 +255,7 @@ def slow_unless(ok, history: History) -> History:
 
 
 @eqx.filter_custom_jvp
-def _solve(inputs, start, *, method, layout, options, search, lend_exact):
+def _solve(inputs, start, *, method, layout, options, search, reuse_exact):
     def one(arrays):
         (rod, history), (guess, before) = eqx.combine(arrays, static)
         equations = Equations(method, layout, rod, history, guess.strain)
@@ -307,7 +309,7 @@ def _solve_jvp(primals, tangents, **settings):
     # In reverse mode a motion keeps the unknowns of each solve, and not their Jacobian's
     # factors, which are 20 times as much.
     U_dot, exact = jax.checkpoint(tangent, prevent_cse=False)(dynamic, at, dot)
-    if settings["lend_exact"]:
+    if settings["reuse_exact"]:
         factors = jax.lax.stop_gradient(exact)
         # 0, and in a batch one for each sample, as the contraction is.
         found = found._replace(contraction=jnp.minimum(found.contraction, 0.0))

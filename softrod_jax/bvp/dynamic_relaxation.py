@@ -29,7 +29,7 @@ _RISE, _MAX_STEPS = 20, 1500
 _REST = 1e-9
 
 
-class Settled(NamedTuple):
+class Rest(NamedTuple):
     """States and strains at the end, whether the rod is at rest there, and the steps it took."""
 
     guess: Guess
@@ -45,9 +45,9 @@ class _State(NamedTuple):
     loaded: Int[Array, ""]
 
 
-def settle(
+def dynamic_relaxation(
     method: AbstractMethod, layout: Layout, options: NewtonOptions, rod: Rod, guess: Guess
-) -> Settled:
+) -> Rest:
     """Let `rod` move from `guess`, a static one, under loads that rise from zero."""
     unit = rod.L**2 * jnp.sqrt(jnp.max(rod.rho_A) / jnp.max(rod.K_bt[..., :2]))
     rod = eqx.tree_at(
@@ -64,8 +64,8 @@ def settle(
 
     def at_rest(guess):
         still = jnp.zeros((*guess.y.shape[:-1], layout.pair))
-        h, _, _, N, M = layout.split(guess.y)
-        return Guess(moving.join(h, still, N, M), guess.strain)
+        pose, wrench = jnp.split(guess.y, [layout.pose_size], axis=-1)
+        return Guess(moving.join(pose, still, wrench), guess.strain)
 
     def step(state):
         load = jnp.minimum(1.0, (state.loaded + 1) / _RISE)
@@ -93,5 +93,5 @@ def settle(
     zero = jnp.zeros((), jnp.int32)
     start = _State(at_rest(guess), _STEP * unit, jnp.array(jnp.inf), zero, zero)
     end = jax.lax.while_loop(goes_on, step, start)
-    h, _, _, N, M = moving.split(end.guess.y)
-    return Settled(Guess(layout.join(h, N, M), end.guess.strain), end.rate <= _REST, end.steps)
+    pose, wrench = end.guess.y[..., : layout.pose_size], end.guess.y[..., -layout.pair :]
+    return Rest(Guess(layout.join(pose, wrench), end.guess.strain), end.rate <= _REST, end.steps)

@@ -51,7 +51,7 @@ class NewtonResult(NamedTuple):
     contraction: Float[Array, ""]
 
 
-class Borrowed(NamedTuple):
+class ReusedFactors(NamedTuple):
     """Factors of a Jacobian like the one wanted, and whether they are (else: only their shape)."""
 
     factors: Any
@@ -69,7 +69,7 @@ class _State(NamedTuple):
     running: Bool[Array, ""]
     fresh: Bool[Array, ""]  # the factors are new: `step` and `size` are not known yet
     stale: Bool[Array, ""]  # the factors serve no longer
-    borrowed: Bool[Array, ""]  # the factors are of another problem
+    reused: Bool[Array, ""]  # the factors are of another problem
 
 
 def newton(
@@ -80,7 +80,7 @@ def newton(
     scale,
     options: NewtonOptions,
     exact_factors: bool = False,
-    borrowed: Borrowed | None = None,
+    reused: ReusedFactors | None = None,
 ) -> NewtonResult:
     """Solve `evaluate(y) = F = 0` from `y`.
 
@@ -89,7 +89,7 @@ def newton(
     - `solve(factors, F)`: the correction -J^-1 F, of y's shape.
     - `scale`: of y's shape or broadcast to it; corrections are measured by max |dy / scale|.
     - `exact_factors`: return the factors at the solution itself.
-    - `borrowed`: factors to begin with; new ones are made as soon as these do not serve.
+    - `reused`: factors to begin with; new ones are made as soon as these do not serve.
     """
 
     def size_of(step):
@@ -103,14 +103,14 @@ def newton(
     def with_factors(carry):
         state, factors, _ = carry
         last = ~goes_on(state)
-        if borrowed is None:
+        if reused is None:
             factors = factorise(state.y)
         else:
             # At most once, as a branch would; but in a batch only if any of its samples needs it.
             _, factors = jax.lax.while_loop(
                 lambda carry: carry[0],
                 lambda carry: (jnp.array(False), factorise(state.y)),
-                (~state.borrowed, factors),
+                (~state.reused, factors),
             )
         state = state._replace(
             step=jnp.zeros_like(state.step), fresh=jnp.array(True), stale=jnp.array(False)
@@ -118,7 +118,7 @@ def newton(
         state = jax.lax.while_loop(
             lambda s: goes_on(s) & ~s.stale, lambda s: one_pass(s, factors), state
         )
-        return state._replace(borrowed=jnp.array(False)), factors, last
+        return state._replace(reused=jnp.array(False)), factors, last
 
     def one_pass(state, factors):
         y = state.y + state.damping * state.step
@@ -134,9 +134,9 @@ def newton(
         at_rounding = full & (state.size <= _ROUNDING) & (size <= 10 * _ROUNDING)
         accept = jnp.isfinite(size) & (state.fresh | falls | small | at_rounding)
         converged = accept & full & (small | (at_rounding & ~falls & ~state.fresh))
-        # Borrowed factors have to show that they serve, and if not it is no fault of the problem.
-        converged &= ~state.borrowed | (~state.fresh & (ratio < _REUSE))
-        useless = state.borrowed & ~accept
+        # Reused factors have to show that they serve, and if not it is no fault of the problem.
+        converged &= ~state.reused | (~state.fresh & (ratio < _REUSE))
+        useless = state.reused & ~accept
         damping = jnp.where(accept, jnp.minimum(1.0, 4 * state.damping), state.damping / 4)
         failed = ~accept & ~useless & (state.fresh | (damping < options.smallest_damping))
         result = jnp.where(failed, RESULTS.diverged, RESULTS.max_iterations)
@@ -155,7 +155,7 @@ def newton(
             running=~converged & ~failed,
             fresh=jnp.array(False),
             stale=useless | (accept & ~state.fresh & ~(full & (ratio < _REUSE))),
-            borrowed=state.borrowed,
+            reused=state.reused,
         )
 
     start = _State(
@@ -169,9 +169,9 @@ def newton(
         running=jnp.array(True),
         fresh=jnp.array(True),
         stale=jnp.array(False),
-        borrowed=jnp.array(False) if borrowed is None else borrowed.usable,
+        reused=jnp.array(False) if reused is None else reused.usable,
     )
-    factors = no_factors(factorise, y) if borrowed is None else borrowed.factors
+    factors = no_factors(factorise, y) if reused is None else reused.factors
 
     def unfinished(carry):
         state, _, last = carry

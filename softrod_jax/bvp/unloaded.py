@@ -7,7 +7,8 @@ from softrod_jax.bvp.method import Guess
 from softrod_jax.rod.constants import Rod
 from softrod_jax.rod.constitutive import joined
 from softrod_jax.rod.ode import Layout
-from softrod_jax.rod.rotations import quaternion_exp, quaternion_product
+from softrod_jax.rod.rotations import quaternion_exp, quaternion_product, to_base
+from softrod_jax.scene.planes import vector_in
 
 
 def unloaded_guess(layout: Layout, rod: Rod) -> Guess:
@@ -18,8 +19,18 @@ def unloaded_guess(layout: Layout, rod: Rod) -> Guess:
         strain = joined(rod.v_star, strain)
     strain = jnp.broadcast_to(strain, (s.shape[0], layout.strain_size))
     h = _attitudes(rod, layout) if layout.attitude else None
-    rest = jnp.zeros((s.shape[0], layout.size - layout.attitude_size))
-    return Guess(layout.join(h, rest), strain)
+    p = _positions(rod, h) if layout.position else None
+    rest = jnp.zeros((s.shape[0], layout.size - layout.pose_size))
+    return Guess(layout.join(p, h, rest), strain)
+
+
+def _positions(rod: Rod, h):
+    """That of every point, about; (points, 3), or (points, 2) in a plane."""
+    tangent = to_base(h, jnp.broadcast_to(rod.v_star, (h.shape[0], rod.v_star.shape[-1])))
+    steps = jnp.diff(rod.grid.s)[:, None] * 0.5 * (tangent[1:] + tangent[:-1])
+    assert rod.p_base is not None, "a rod whose loads depend on the position"
+    start = vector_in(rod.plane, rod.p_base)
+    return start + jnp.concatenate([jnp.zeros_like(steps[:1]), jnp.cumsum(steps, axis=0)])
 
 
 def _attitudes(rod: Rod, layout: Layout):

@@ -23,7 +23,8 @@ from softrod_jax.learning.stepping import Action, RodState, Stepper
 from softrod_jax.scene.robots import hybrid_robot
 from softrod_jax.scene.scene import Scene
 from softrod_jax.statics import solve_static
-from softrod_jax.stepping.schemes import AbstractTimeScheme, BDFAlpha
+from softrod_jax.stepping.bdf_alpha import BDFAlpha
+from softrod_jax.stepping.scheme import AbstractTimeScheme
 
 # Bounds of what is observed: the tip and the target, and the tip's velocity, in lengths of the rod
 # and lengths a second.
@@ -101,7 +102,7 @@ class ReachEnv(gymnasium.Env):
         if self._fresh is None:
             rest = self._action(-np.ones(self._limits.shape))
             initial = solve_static(self.stepper.scene, *rest, method=self.stepper.method)
-            self._fresh = self.stepper.reset(initial, rest)
+            self._fresh = self.stepper.reset(initial, Action(*rest))
         self._state, self._steps = self._fresh, 0
         self._last = -np.ones(self._limits.shape)
         target = (options or {}).get("target")
@@ -119,16 +120,16 @@ class ReachEnv(gymnasium.Env):
             raise ValueError(
                 f"ReachEnv.step: action has shape {action.shape}; {self._limits.shape} is needed"
             )
-        self._state = self.stepper.step(self._state, self._action(action))
+        self._state = self.stepper.step(self._state, Action(*self._action(action)))
         self._steps, self._last = self._steps + 1, action
         observation, info, distance = self._observed(self._state)
         truncated = info["failed"] or self._steps >= self.max_steps
         return observation, -distance, False, truncated, info
 
-    def _action(self, action) -> Action:
+    def _action(self, action) -> tuple[np.ndarray | None, np.ndarray | None]:
         values = 0.5 * (action + 1.0) * self._limits
         tensions, pressures = values[: self._tendons], values[self._tendons :]
-        return Action(tensions if tensions.size else None, pressures if pressures.size else None)
+        return tensions if tensions.size else None, pressures if pressures.size else None
 
     def _random_target(self) -> np.ndarray:
         code = None

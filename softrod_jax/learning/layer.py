@@ -21,7 +21,8 @@ from softrod_jax.scene.checks import checked_scene
 from softrod_jax.scene.inputs import time_step, whole_number
 from softrod_jax.scene.scene import Scene
 from softrod_jax.statics import StaticSolution
-from softrod_jax.stepping.schemes import SDIRK, AbstractTimeScheme
+from softrod_jax.stepping.scheme import AbstractTimeScheme
+from softrod_jax.stepping.sdirk import SDIRK
 
 
 class RodPath(NamedTuple):

@@ -5,7 +5,7 @@ corrections. The steps are those of `simulate`. A state is a pytree: it goes thr
 `vmap`, `grad` and `lax.scan`.
 """
 
-from typing import Any, NamedTuple
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -17,29 +17,33 @@ from softrod_jax.bvp.collocation import Collocation
 from softrod_jax.bvp.method import AbstractMethod
 from softrod_jax.bvp.newton import NewtonOptions
 from softrod_jax.foundation.compiling import compiled
-from softrod_jax.foundation.numbers import ManyLike, ScalarLike
+from softrod_jax.foundation.numbers import ScalarLike
 from softrod_jax.foundation.precision import require_float64
 from softrod_jax.foundation.results import RESULTS, without_derivative
 from softrod_jax.rod.constants import clamp_pose, full_strain, make_rod
 from softrod_jax.rod.rotations import to_base
 from softrod_jax.rod.validity import usable, usable_in_time
 from softrod_jax.scene.checks import checked_scene
-from softrod_jax.scene.inputs import actuation, good_inputs, time_step, whole_number, zero_unless
+from softrod_jax.scene.inputs import (
+    Inputs,
+    checked_inputs,
+    filled,
+    good_inputs,
+    time_step,
+    whole_number,
+    zero_unless,
+)
 from softrod_jax.scene.planes import in_space
 from softrod_jax.scene.scene import Scene
 from softrod_jax.statics import StaticSolution
-from softrod_jax.stepping.marching import Beginning, Course, make_stepping
-from softrod_jax.stepping.schemes import SDIRK, AbstractTimeScheme
+from softrod_jax.stepping.marching import stepping_of
+from softrod_jax.stepping.moving_rod import Beginning, Progress, State
+from softrod_jax.stepping.scheme import AbstractTimeScheme
+from softrod_jax.stepping.sdirk import SDIRK
+from softrod_jax.stepping.step_inputs import StepInputs
 
-
-class Action(NamedTuple):
-    """What drives the rod: `tensions` [N], (tendons,), and `pressures` [Pa], (chambers,).
-
-    `None`: these actuators are at zero. In `Stepper.rollout` both have one row a step.
-    """
-
-    tensions: ManyLike | None = None
-    pressures: ManyLike | None = None
+# The inputs, as learning calls them. Actuators that are `None` are at zero here.
+Action = Inputs
 
 
 class RodState(eqx.Module):
@@ -54,14 +58,14 @@ class RodState(eqx.Module):
     - `iterations` of Newton's method in the last step; `error` there of the discretisation along
       the rod, estimated, in lengths of the rod.
 
-    `memory` is the time scheme's, `running` what a step hands to the next: where Newton's method
+    `memory` is the time scheme's, `progress` what a step hands to the next: where Newton's method
     starts, the factors of its last Jacobian, the code.
     """
 
     time: Float[Array, ""]
     action: Action
     memory: Any
-    running: Any
+    progress: Progress
     first: Bool[Array, ""]
     jumps: Bool[Array, ""]
     made_by: tuple[AbstractTimeScheme, AbstractMethod] = eqx.field(static=True)
@@ -76,17 +80,17 @@ class RodState(eqx.Module):
 
     @property
     def result(self) -> Int[Array, "*batch"]:
-        running, method = self.running, self.made_by[1]
-        coarse = (running.result == RESULTS.successful) & (running.error > method.max_error)
-        return jnp.where(coarse, RESULTS.inaccurate, running.result).astype(jnp.int32)
+        progress, method = self.progress, self.made_by[1]
+        coarse = (progress.result == RESULTS.successful) & (progress.error > method.max_error)
+        return jnp.where(coarse, RESULTS.inaccurate, progress.result).astype(jnp.int32)
 
     @property
     def iterations(self) -> Int[Array, "*batch"]:
-        return self.running.iterations
+        return self.progress.iterations
 
     @property
     def error(self) -> Float[Array, "*batch"]:
-        return self.running.error
+        return self.progress.error
 
 
 class RodView(eqx.Module):
@@ -215,18 +219,11 @@ class Stepper(eqx.Module):
 
     def _checked(self, who, action, ndim) -> Action:
         """With arrays for all actuators that the scene has."""
-        tensions, pressures = actuation(who, self.scene, *action, ndim=ndim)
-        given = [x.shape[:-1] for x in (tensions, pressures) if x is not None]
+        action = checked_inputs(who, self.scene, action, ndim)
+        given = [x.shape[:-1] for x in jax.tree.leaves(action)]
         if ndim == 2 and not given:
             raise ValueError(f"{who}: no inputs to tell how many steps; give rows of zeros")
-        rows = given[0] if given else ()
-
-        def filled(values, actuators):
-            if values is not None or actuators is None:
-                return values
-            return jnp.zeros((*rows, actuators.count))
-
-        return Action(filled(tensions, self.scene.tendons), filled(pressures, self.scene.chambers))
+        return filled(self.scene, action, given[0] if given else ())
 
 
 def reset_where(done: Bool[Array, ""], fresh: RodState, state: RodState) -> RodState:
@@ -237,48 +234,39 @@ def reset_where(done: Bool[Array, ""], fresh: RodState, state: RodState) -> RodS
     return jax.tree.map(lambda a, b: jnp.where(done, a, b), fresh, state)
 
 
-def _stepping(stepper, action, begin=None):
-    """The steps of `marching.py`, their length [s], and whether there can be such a scene."""
+def _stepping(stepper, action):
+    """The steps of `marching.py`, and whether there can be such a scene."""
     scene, dt, good = usable_in_time(stepper.scene, stepper.dt)
-    stepping = make_stepping(
-        scene,
-        dt,
-        action,
-        begin,
-        stepper.substeps,
-        stepper.scheme,
-        stepper.method,
-        stepper.newton,
-        good,
-    )
-    return stepping, dt, good
+    how = stepper.substeps, stepper.scheme, stepper.method, stepper.newton
+    return stepping_of(scene, dt, action, *how), good
 
 
 @compiled
 def _reset(stepper, initial, action):
     from_rest = initial is None
     begin = None if from_rest else Beginning(initial.point_strains, initial.result)
-    stepping, _, _ = _stepping(stepper, action, begin)
-    memory, running = stepping.start()
+    stepping, good = _stepping(stepper, action)
+    memory, progress = stepping.moving.at_rest(begin, good)
     true = jnp.array(True)
     made_by = (stepper.scheme, stepper.method)
-    return RodState(jnp.zeros(()), action, memory, running, true, true & from_rest, made_by)
+    return RodState(jnp.zeros(()), action, memory, progress, true, true & from_rest, made_by)
 
 
 @compiled
 def _step(stepper, state, action, jump):
-    good = good_inputs(*action)
+    good = good_inputs(action)
     action = zero_unless(good, action)
     jumps = jax.tree.map(lambda x: jnp.broadcast_to(jump, x.shape), action)
-    course = Course(state.action, action, jumps, good)
+    inputs = StepInputs(state.action, action, jumps, good)
     restart = state.first | jump
-    stepping, dt, possible = _stepping(stepper, action)
+    stepping, possible = _stepping(stepper, action)
+    dt = stepping.moving.dt
     length = dt / stepper.substeps
     coefficients = stepper.scheme.coefficients(length, restart[None])[0]
-    running = state.running._replace(result=_unless_bad(possible, state.result))
-    (memory, running), _ = stepping.step((state.memory, running), (coefficients, course))
+    progress = state.progress._replace(result=_unless_bad(possible, state.result))
+    (memory, progress), _ = stepping.step(State(state.memory, progress), coefficients, inputs)
     no = jnp.array(False)
-    return RodState(state.time + dt, action, memory, running, no, no, state.made_by)
+    return RodState(state.time + dt, action, memory, progress, no, no, state.made_by)
 
 
 def _unless_bad(good, result):

@@ -27,6 +27,7 @@ from softrod_jax.rod.grid import (
     uniform_grid,
 )
 from softrod_jax.scene.acting import AbstractDistributedLoad, AbstractEnergy
+from softrod_jax.scene.inputs import Inputs
 from softrod_jax.scene.planes import about_normal, angle_in, in_space, turn_in, vector_in
 from softrod_jax.scene.scene import Scene
 from softrod_jax.scene.segments import Segment
@@ -65,7 +66,8 @@ class Rod(eqx.Module):
     - `at_gaps`: loads and masses along the rod.
     - `material`, `energies`, `distributed_loads`: those of users, at arc lengths `s`* [m]; the last
       two times `load_factor`.
-    - `h_base`: quaternion of the clamp, (4,).
+    - `h_base`: quaternion of the clamp, (4,). `p_base` [m], (3,): its position, or None where no
+      load depends on the position.
 
     `K_se` is None for an inextensible rod. In a `plane`, a vector (v, q, N) has two components
     instead of three and a turn (u, omega, M) one; `h_base` is an angle, (1,).
@@ -79,6 +81,7 @@ class Rod(eqx.Module):
     rho_A: Float[Array, "... 1"]
     rho_J: Float[Array, "... turn"]
     h_base: Float[Array, "attitude"]
+    p_base: Float[Array, "3"] | None = None
     B_se: Float[Array, "... vector"] | None = None
     B_bt: Float[Array, "... turn"] | None = None
     C: Float[Array, "... vector"] | None = None
@@ -168,19 +171,19 @@ _FRONT_VISCOSITY = 4.0
 
 def make_rod(
     scene: Scene,
-    tensions=None,
-    pressures=None,
+    inputs: Inputs = Inputs(),
     dynamic: bool = True,
     grid: Grid | None = None,
     spread_fronts: bool = False,
 ) -> Rod:
-    """Reduce `scene` under `tensions` [N] (tendons,) and `pressures` [Pa] (chambers,).
+    """Reduce `scene` under `inputs`, one value for each actuator.
 
-    `None` for either leaves that actuator out of the program. `dynamic=False` leaves out what
-    acts on a moving rod only (damping, drag). `grid`: the points where numbers that vary along the
+    `None` for a kind of them leaves it out of the program. `dynamic=False` leaves out what acts on
+    a moving rod only (damping, drag). `grid`: the points where numbers that vary along the
     rod are wanted; a few where nothing is said. `spread_fronts`: fronts that tensions send along a
     moving rod are spread over a few points.
     """
+    tensions, pressures = inputs
     grid = a_few_points(scene) if grid is None else grid
     plane, stretches = scene.plane, not scene.inextensible
     body = _along(scene, grid)
@@ -202,6 +205,7 @@ def make_rod(
         rho_A=body.rho_A,
         rho_J=about_normal(plane, body.rho_J),
         h_base=clamp_pose(scene)[1],
+        p_base=clamp_pose(scene)[0] if _position_matters(scene) else None,
         B_se=moving(vector_in(plane, body.B_se)) if stretches else None,
         B_bt=moving(about_normal(plane, body.B_bt)),
         C=moving(vector_in(plane, body.C)),
@@ -230,6 +234,10 @@ def make_rod(
     # Nothing depends on the attitude without dead loads.
     angle = angle_in(plane, rod.h_base) if rod.has_dead_load else jnp.zeros(1)
     return eqx.tree_at(lambda r: r.h_base, rod, angle)
+
+
+def _position_matters(scene: Scene) -> bool:
+    return any(load.needs_position for load in scene.distributed_loads or ())
 
 
 def a_few_points(scene: Scene) -> Grid:
@@ -400,7 +408,7 @@ def _active(scene: Scene, grid: Grid, actuators):
     return there[_division(grid).part_of_point(grid.stride)]
 
 
-def _tendons(scene: Scene, grid: Grid, tensions):
+def _tendons(scene: Scene, grid: Grid, tensions) -> tuple[Array, Array, Array | None]:
     """Tensions, places and slopes."""
     assert scene.tendons is not None, INCOMPLETE
     r, r_s = scene.tendons.routing(grid.s, scene.length)

@@ -9,6 +9,7 @@ steps; in statics there are none, and q, omega are not part of the state.
 
 State, in this order, absent parts left out:
 
+    p      3   position [m], base frame; only if a distributed load depends on it
     h      4   attitude quaternion (w, x, y, z), body to base; only if a load is fixed in the
                base frame (gravity, dead tip loads): nothing else depends on it
     q      3   linear velocity R^T p_t [m/s], dynamics only
@@ -16,7 +17,7 @@ State, in this order, absent parts left out:
     N      3   total force R^T N [N]
     M      3   total moment R^T M [N m]
 
-The position p is in no right-hand side: `shape.py` integrates it afterwards.
+Where the position p is in no right-hand side, `shape.py` integrates it afterwards.
 
 Of a rod that stays in a plane, `rod` has the components in the plane only, and so have states and
 strains: two of q and N, one of omega and M, and an angle for the attitude; see `scene/planes.py`.
@@ -34,7 +35,7 @@ from jaxtyping import Array, Bool, Float
 
 from softrod_jax.rod.constants import Rod
 from softrod_jax.rod.constitutive import compliance, local_problem, recover_strain
-from softrod_jax.rod.rotations import cross, hat, hats, to_body
+from softrod_jax.rod.rotations import cross, hat, hats, to_base, to_body
 from softrod_jax.scene.acting import Here
 from softrod_jax.scene.planes import in_space, quaternion_in, turn_in, vector_in
 
@@ -60,6 +61,7 @@ class Layout(eqx.Module):
     dynamic: bool = eqx.field(static=True)
     inextensible: bool = eqx.field(static=True, default=False)
     planar: bool = eqx.field(static=True, default=False)
+    position: bool = eqx.field(static=True, default=False)
 
     @property
     def vector(self) -> int:
@@ -87,9 +89,14 @@ class Layout(eqx.Module):
         return (1 if self.planar else 4) * self.attitude
 
     @property
+    def pose_size(self) -> int:
+        """Components of (p, h), as far as they are there."""
+        return self.vector * self.position + self.attitude_size
+
+    @property
     def base_size(self) -> int:
-        """How many components are given at the base (h, q, omega); N and M follow."""
-        return self.attitude_size + self.pair * self.dynamic
+        """How many components are given at the base (p, h, q, omega); N and M follow."""
+        return self.pose_size + self.pair * self.dynamic
 
     @property
     def size(self) -> int:
@@ -97,8 +104,8 @@ class Layout(eqx.Module):
 
     def split(self, y: Points) -> tuple[Any, Any, Any, Array, Array]:
         """(h, q, omega, N, M); None for one of the first three that is absent."""
-        i = self.attitude_size
-        h = y[..., :i] if self.attitude else None
+        i = self.pose_size
+        h = y[..., i - self.attitude_size : i] if self.attitude else None
         j, k = i + self.vector, i + self.pair
         q, w = (y[..., i:j], y[..., j:k]) if self.dynamic else (None, None)
         return h, q, w, y[..., -self.pair : -self.turn], y[..., -self.turn :]
@@ -120,6 +127,7 @@ def layout_of(rod: Rod, dynamic: bool) -> Layout:
         dynamic=dynamic,
         inextensible=rod.K_se is None,
         planar=rod.plane is not None,
+        position=rod.p_base is not None,
     )
 
 
@@ -186,7 +194,9 @@ def pointwise_problem(y, rod, history):
 def rates(y, strain, rod, layout, history):
     h, q, w, N, M = layout.split(y)
     v, u = _strains(strain, rod, layout)
-    h_s = q_s = w_s = None
+    p_s = h_s = q_s = w_s = None
+    if layout.position:
+        p_s = to_base(h, v)  # eq. 4
     if layout.attitude and layout.planar:
         h_s = u
     elif layout.attitude:
@@ -213,7 +223,7 @@ def rates(y, strain, rod, layout, history):
     if rod.distributed_loads is not None:
         applied = distributed(y[..., : layout.base_size], rod, layout)
         N_s, M_s = N_s - applied[..., : layout.vector], M_s - applied[..., layout.vector :]
-    return layout.join(h_s, q_s, w_s, N_s, M_s)
+    return layout.join(p_s, h_s, q_s, w_s, N_s, M_s)
 
 
 def _strains(strain, rod, layout):
@@ -261,6 +271,8 @@ def _partial_derivatives(y, strain, rod, layout, history):
     f_strain = _blocks([row[layout.inextensible :] for row in strains])
     if layout.attitude:
         f_y, f_strain = _with_attitude(f_y, f_strain, h, u, rod, layout)
+    if layout.position:
+        f_y, f_strain = _with_position(f_y, f_strain, h, v, layout)
     if rod.distributed_loads is not None:
         base_part = y[..., : layout.base_size]
         slope = distributed(base_part, rod, layout, jax.jacfwd, "(i,n)")
@@ -289,6 +301,19 @@ def _with_attitude(f_y, f_strain, h, u, rod, layout):
     if not layout.inextensible:
         top = jnp.concatenate([jnp.zeros((*points, n, layout.vector)), top], -1)
     return jnp.concatenate([left, right], -2), jnp.concatenate([top, f_strain], -2)
+
+
+def _with_position(f_y, f_strain, h, v, layout):
+    """Prepend the rows and columns of the position; loads that depend on it come later."""
+    points, m, n = f_y.shape[:-2], layout.vector, layout.attitude_size
+    by_attitude = jnp.vectorize(jax.jacfwd(to_base), signature="(n),(m)->(m,n)")(h, v)
+    R = jnp.swapaxes(to_base(h[..., None, :], jnp.eye(m)), -1, -2)
+    none = lambda rows, columns: jnp.zeros((*points, rows, columns))
+    top = jnp.concatenate([none(m, m), by_attitude, none(m, f_y.shape[-1] - n)], -1)
+    below = jnp.concatenate([none(f_y.shape[-2], m), f_y], -1)
+    stretch = [] if layout.inextensible else [R]
+    by_strain = jnp.concatenate([*stretch, none(m, layout.turn)], -1)
+    return jnp.concatenate([top, below], -2), jnp.concatenate([by_strain, f_strain], -2)
 
 
 def to_body_by_attitude(h, a):
@@ -324,13 +349,20 @@ def distributed(base_part, rod: Rod, layout: Layout, of=lambda f: f, shape="(i)"
         still = jnp.zeros(layout.pair)
         moving = jnp.concatenate([q, w]) if layout.dynamic else still
         moving = in_space(moving, rod.plane)
-        here = Here(s, quaternion_in(rod.plane, h), moving[:3], moving[3:])
+        p = _position_in_space(base_part, rod, layout) if layout.position else None
+        here = Here(s, quaternion_in(rod.plane, h), moving[:3], moving[3:], p)
         wrenches = [load.wrench(here) for load in loads]
         f, l = (sum(parts, jnp.zeros(3)) for parts in zip(*wrenches))
         applied = jnp.concatenate([vector_in(rod.plane, f), turn_in(rod.plane, l)])
         return factor * applied
 
     return jnp.vectorize(of(at_point), signature=f"(n),()->{shape}")(base_part, rod.s)
+
+
+def _position_in_space(base_part, rod, layout):
+    """With what the clamp is off the plane, if there is one."""
+    across = lambda p: in_space(jnp.append(p, jnp.zeros(layout.turn)), rod.plane)[:3]
+    return rod.p_base + across(base_part[: layout.vector] - vector_in(rod.plane, rod.p_base))
 
 
 def sizes(Y: Points, rod: Rod, layout: Layout, history: History | None) -> Float[Array, "n"]:
@@ -345,6 +377,7 @@ def sizes(Y: Points, rod: Rod, layout: Layout, history: History | None) -> Float
     if layout.planar:
         turn = jnp.ones(layout.turn)
     return layout.join(
+        rod.L * vector if layout.position else None,
         jnp.ones(layout.attitude_size) if layout.attitude else None,
         rate * rod.L * vector if layout.dynamic else None,
         rate * turn if layout.dynamic else None,

@@ -107,8 +107,12 @@ def to_body(
     return a - k * (w * c - cross(r, c))
 
 
-def to_base(h: Quaternion, a: Vector) -> Vector:
+def to_base(
+    h: Float[Array, "*#batch attitude"], a: Float[Array, "*#batch vector"]
+) -> Float[Array, "*#batch vector"]:
     """R(h) a: a vector of the body frame, seen from the base."""
+    if h.shape[-1] == 1:
+        return to_body(-h, a)
     w, r = h[..., :1], h[..., 1:]
     k = 2 / (w * w + jnp.sum(r * r, -1, keepdims=True))
     c = cross(r, a)

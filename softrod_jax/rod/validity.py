@@ -10,19 +10,20 @@ from jaxtyping import Array, Bool, Float
 
 from softrod_jax.rod.constants import make_rod
 from softrod_jax.scene.checks import can_be, harmless_unless
+from softrod_jax.scene.inputs import Inputs
 from softrod_jax.scene.scene import Scene
 
 
 def usable(
-    scene: Scene, good: Bool[Array, ""] | bool = True, tensions=None, pressures=None
+    scene: Scene, good: Bool[Array, ""] | bool = True, inputs: Inputs = Inputs()
 ) -> tuple[Scene, Bool[Array, ""]]:
     """The scene, and whether all its numbers can be; where one cannot, a harmless scene.
 
-    `good`: whether all other inputs can be. `tensions` and `pressures`: constant ones. A rod whose
+    `good`: whether all else can be. `inputs`: constant ones. A rod whose
     stiffness or mass overflows, or is lost in rounding, cannot be either.
     """
     good = jnp.asarray(good) & can_be(scene)
-    rod = make_rod(scene, tensions, pressures)
+    rod = make_rod(scene, inputs)
     for x in jax.tree.leaves(rod):
         good &= jnp.all(jnp.isfinite(x))
     # The size of forces tells of lengths whose square is none.

@@ -6,7 +6,7 @@ continuation, motions, gradients and batches follow from it.
 """
 
 import abc
-from typing import NamedTuple
+from typing import ClassVar, NamedTuple
 
 import equinox as eqx
 from jaxtyping import Array, Float
@@ -31,6 +31,7 @@ class Here(NamedTuple):
     """A place along the rod at one instant.
 
     - `s` [m]; `quaternion` (w, x, y, z): the attitude of the section, body to base.
+    - `position` [m], (3,), base frame; `None` where no load of the scene says `needs_position`.
     - `velocity` [m/s] and `angular_velocity` [rad/s], (3,) each, body frame; zero in statics.
     """
 
@@ -38,10 +39,17 @@ class Here(NamedTuple):
     quaternion: Float[Array, "4"]
     velocity: Float[Array, "3"]
     angular_velocity: Float[Array, "3"]
+    position: Float[Array, "3"] | None = None
 
 
 class AbstractDistributedLoad(eqx.Module):
-    """A force and a moment per unit of rod, which may depend on attitude and velocity."""
+    """A force and a moment per unit of rod, by attitude and velocity, and by position if it asks.
+
+    `needs_position`: whether `wrench` reads `here.position`. The position is then an unknown along
+    the rod, which costs about a fifth more; no scene without such a load has it.
+    """
+
+    needs_position: ClassVar[bool] = False
 
     @abc.abstractmethod
     def wrench(self, here: Here) -> tuple[Float[Array, "3"], Float[Array, "3"]]:

@@ -20,7 +20,7 @@ from softrod_jax.bvp.boundary_value import (
     with_loads,
 )
 from softrod_jax.bvp.method import Guess
-from softrod_jax.bvp.newton import Borrowed, NewtonOptions
+from softrod_jax.bvp.newton import NewtonOptions, ReusedFactors
 from softrod_jax.foundation.results import RESULTS
 from softrod_jax.rod.ode import History
 
@@ -39,7 +39,7 @@ class Before(NamedTuple):
 
     loads: list
     rate: Float[Array, "points strain"]
-    borrowed: Borrowed
+    reused: ReusedFactors
 
 
 class _Way(NamedTuple):
@@ -70,21 +70,21 @@ def search_by_inertia(equations: Equations, options: NewtonOptions, U, before: B
         """The step as far as the next try goes."""
         assert equations.history is not None, "a step of a motion"
         c0, strain_h, velocity_h = equations.history
-        held = equations.fields(U)
-        _, q, w, _, _ = equations.layout.split(held.y)
+        start = equations.fields(U)
+        _, q, w, _, _ = equations.layout.split(start.y)
         velocity = jnp.concatenate([q, w], -1)
-        strain = held.strain
+        strain = start.strain
         if equations.rod.front_viscosity is not None:
             # That of fronts has no slope where nothing moves, and Newton's method no start.
             ahead = (before.rate - strain_h) / c0 - strain
             strain = strain + ahead / jnp.maximum(jnp.max(jnp.abs(ahead)) / _AHEAD, 1.0)
         at = jnp.minimum(_GOAL, state.done + state.advance)
         part, change = jnp.minimum(at, 1.0), jnp.maximum(at - 1.0, 0.0)
-        # c (y - held) + the rate at `held`: with c = c0 the step itself.
+        # c (y - start) + the rate at `start`: with c = c0 the step itself.
         c = c0 / part
         history = History(c, strain_h + (c0 - c) * strain, velocity_h + (c0 - c) * velocity)
         between = [change * a + (1 - change) * b for a, b in zip(loads, before.loads)]
-        moving = equations.start(Guess(held.y, strain))
+        moving = equations.start(Guess(start.y, strain))
         return history, between, jnp.where(state.done == 0.0, moving, state.U)
 
     def attempt(state):
@@ -92,8 +92,8 @@ def search_by_inertia(equations: Equations, options: NewtonOptions, U, before: B
         # Nothing is computed for what an ordinary step does not need.
         history, now, start = jax.lax.cond(state.tries == 0, at_once, on_the_way, state)
         problem = equations._replace(history=history, rod=with_loads(equations.rod, now))
-        borrowed = Borrowed(state.factors, before.borrowed.usable & (state.tries == 0))
-        new, found, factors = search_directly(problem, options, start, borrowed)
+        reused = ReusedFactors(state.factors, before.reused.usable & (state.tries == 0))
+        new, found, factors = search_directly(problem, options, start, reused)
         ok = found.result == RESULTS.successful
         # After the whole way the whole step under the loads of before, then ever less.
         first = (state.advance > 1.0) & (state.done == 0.0)
@@ -117,7 +117,7 @@ def search_by_inertia(equations: Equations, options: NewtonOptions, U, before: B
 
     zero, none = jnp.zeros((), jnp.int32), jnp.zeros(())
     found = Found(zero, zero, none, none, zero, jnp.array(True))
-    start = _Way(none, jnp.array(_GOAL), U, found, before.borrowed.factors, zero, jnp.array(True))
+    start = _Way(none, jnp.array(_GOAL), U, found, before.reused.factors, zero, jnp.array(True))
     end = jax.lax.while_loop(lambda state: state.running, attempt, start)
     whole = (end.found.result != RESULTS.successful) | (end.done >= _GOAL)
     result = jnp.where(whole, end.found.result, RESULTS.diverged).astype(jnp.int32)

@@ -19,8 +19,8 @@ import numpy as np
 from softrod_jax.bvp.method import AbstractMethod
 from softrod_jax.foundation.results import RESULTS
 from softrod_jax.rod.constants import Rod
-from softrod_jax.stepping.marching import MOST_SUBSTEPS, LocalError
-from softrod_jax.stepping.schemes import AbstractTimeScheme
+from softrod_jax.stepping.scheme import AbstractTimeScheme
+from softrod_jax.stepping.substeps import MOST_SUBSTEPS, LocalError
 
 # The limit of the local error in the first try, in tolerances, and how strict it may become. The
 # errors of many steps add up, so that it starts below one.

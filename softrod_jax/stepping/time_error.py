@@ -15,7 +15,7 @@ from softrod_jax.rod.constants import Rod, full_strain
 from softrod_jax.rod.rotations import cross, to_base
 from softrod_jax.rod.shape import ORIGIN
 from softrod_jax.scene.planes import in_space
-from softrod_jax.stepping.schemes import LocalErrors
+from softrod_jax.stepping.scheme import LocalErrors
 
 # An error of this many lengths doubles: it changes the motion in which later errors are made. The
 # estimate without that and the true error had ratios from 0.38 on, in the median 2.8, below 1 where

@@ -1,125 +1,14 @@
-"""Time schemes: how `y_t = c0 y + y_h` follows from earlier steps.
+"""SDIRK: one-step schemes of order 2 to 4, with several solves along the rod a step."""
 
-A scheme turns one time step into one or more solves along the rod, each with its own `c0` and
-history `y_h`. What it advances is a pytree of fields (strains and velocities at the points of
-the method along the rod), so that the history is kept at the order of that method.
-"""
-
-import abc
 import itertools
 import math
-from collections.abc import Callable
-from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float
 
-
-def _combine(*terms):
-    """sum of coefficient * tree."""
-    first, *rest = [jax.tree.map(lambda x, c=c: c * x, tree) for c, tree in terms]
-    for term in rest:
-        first = jax.tree.map(jnp.add, first, term)
-    return first
-
-
-class LocalErrors(NamedTuple):
-    """Estimates of the errors that one step makes in the fields; each like the fields, or `None`.
-
-    - `lower`: the difference to a scheme of lower order.
-    - `of_integral`: as `lower`, of the integrals of the fields over time.
-    - `difference`: of the rates in the step, of an order as high as that of the error. In an
-      oscillation of any frequency it is about as large as the error, or larger.
-    """
-
-    lower: Any = None
-    of_integral: Any = None
-    difference: Any = None
-
-
-class AbstractTimeScheme(eqx.Module):
-    """`start` makes a memory from the initial fields, `step` advances it.
-
-    The memory is a tuple; its first entry is the fields at the end of the step.
-
-    `one_step`: whether steps may differ in length from one to the next.
-    """
-
-    stages: eqx.AbstractVar[int]
-    order: eqx.AbstractVar[int]
-    one_step: eqx.AbstractVar[bool]
-
-    @abc.abstractmethod
-    def coefficients(self, dt, restart: Bool[Array, "steps"]) -> Float[Array, "steps _"]:
-        """Coefficients of every step, (steps, ...): what `step` gets row by row.
-
-        `restart`: whether an input jumps at the beginning of the step.
-        """
-
-    @abc.abstractmethod
-    def start(self, y, guess) -> tuple:
-        """Memory of a rod at rest with the fields `y`; `guess`: of Newton's method there."""
-
-    @abc.abstractmethod
-    def step(self, memory, coefficients, solve: Callable, carry) -> tuple[tuple, Any, LocalErrors]:
-        """One step: `solve(c0, y_h, at, carry) -> (y, carry)` for each stage in turn.
-
-        `at`, in (0, 1]: the time of the stage in the step. `carry` is a named tuple; its field
-        `guess` is the last solution, and where Newton's method starts. Returns the memory and
-        the carry after the step, and its `LocalErrors`; those of a `one_step` scheme have
-        `lower` and `of_integral`.
-        """
-
-
-class BDFAlpha(AbstractTimeScheme):
-    """BDF-alpha (paper eq. 14 and 15): alpha = 0 is BDF2, alpha = -0.5 the trapezoidal rule.
-
-    Second order. The step after a jump of an input is one of backward Euler: with the history
-    of before the jump, the scheme is of first order from there on, for every alpha.
-    Raises `ValueError` unless -0.5 <= alpha <= 0.
-    """
-
-    alpha: float = eqx.field(static=True, default=-0.45)
-    stages: int = eqx.field(static=True, default=1, init=False)
-    order: int = eqx.field(static=True, default=2, init=False)
-    one_step: bool = eqx.field(static=True, default=False, init=False)
-
-    def __check_init__(self):
-        if not -0.5 <= self.alpha <= 0:
-            raise ValueError(f"BDFAlpha: alpha={self.alpha!r} is outside [-0.5, 0]")
-
-    def coefficients(self, dt, restart):
-        a = self.alpha
-        c0 = (1.5 + a) / (dt * (1 + a))
-        c2 = (0.5 + a) / (dt * (1 + a))
-        one = jnp.ones_like(c0)
-        # The last one: how far Newton's guess is extrapolated, in steps.
-        regular = jnp.stack([c0, -2 / dt, c2, a / (1 + a) * one, one])
-        euler = jnp.stack([1 / dt, -1 / dt, 0 * one, 0 * one, 0 * one])
-        return jnp.where(restart[:, None], euler, regular)
-
-    def start(self, y, guess):
-        return y, y, jax.tree.map(jnp.zeros_like, y), guess, jax.lax.stop_gradient(y)
-
-    def step(self, memory, coefficients, solve, carry):
-        y1, y2, y1_t, before, y3 = memory
-        c0, c1, c2, d1, ahead = coefficients
-        last = carry.guess
-        guess = jax.tree.map(lambda a, b: a + ahead * (a - b), last, before)
-        history = _combine((c1, y1), (c2, y2), (d1, y1_t))
-        y, carry = solve(c0, history, 1.0, carry._replace(guess=guess))
-        # C dt^3 y_ttt, with the C of a rate: d1 takes over the error of the rate before.
-        C = 1 / 3 + self.alpha / 2
-        third = _combine((C, y), (-3 * C, y1), (3 * C, y2), (-C, y3))
-        # That of backward Euler, dt^2 y_tt / 2; its c1 is -1 / dt.
-        second = _combine((0.5, y), (-0.5, y1), (0.5 / c1, y1_t))
-        local = jax.tree.map(lambda a, b: jnp.where(ahead == 0, a, b), second, third)
-        older = jax.lax.stop_gradient(y2)
-        memory = (y, y1, _combine((c0, y), (1.0, history)), last, older)
-        return memory, carry, LocalErrors(difference=local)
+from softrod_jax.stepping.scheme import AbstractTimeScheme, LocalErrors, combine
 
 
 def _four_stages(gamma, c2, c3) -> list[list[float]]:
@@ -240,17 +129,17 @@ class SDIRK(AbstractTimeScheme):
         (y0, before, dt_before, first_rate), (dt, smooth) = memory, coefficients
         table, at = self._table(diagonal=False), self._table(diagonal=True).sum(1)
         c0 = 1 / (_SDIRK[self.order, self.stages][0][0] * dt)
-        combine = lambda w, tree: jax.tree.map(lambda k: jnp.tensordot(w, k, 1), tree)
+        weighted = lambda w, tree: jax.tree.map(lambda k: jnp.tensordot(w, k, 1), tree)
         keep = lambda tree, i, new: jax.tree.map(lambda k, x: k.at[i].set(x), tree, new)
 
         # A scan and not a Python loop: the solve along the rod is compiled once.
         def stage(state, row):
             y, rates, guesses, carry, i = state
             weights, c, predictor = row
-            history = _combine((-c0, y0), (-c0 * dt, combine(weights, rates)))
-            guess = combine(predictor, guesses)
+            history = combine((-c0, y0), (-c0 * dt, weighted(weights, rates)))
+            guess = weighted(predictor, guesses)
             y, carry = solve(c0, history, c, carry._replace(guess=guess))
-            rates = keep(rates, i, _combine((c0, y), (1.0, history)))
+            rates = keep(rates, i, combine((c0, y), (1.0, history)))
             guesses = keep(guesses, i + 1, carry.guess)
             return (y, rates, guesses, carry, i + 1), None
 
@@ -258,7 +147,7 @@ class SDIRK(AbstractTimeScheme):
         # The first stage starts where the stages of the step before lead to, no further ahead
         # than one of that step's; after a jump of an input, where that step ended.
         ahead = at[0] * smooth * jnp.minimum(dt / dt_before, 1.0)
-        first = combine(_extrapolate(at, ahead), before)
+        first = weighted(_extrapolate(at, ahead), before)
         guesses = keep(keep(none(first, self.stages + 2), 0, carry.guess), -1, first)
         rows = jnp.array(table), jnp.array(at), jnp.array(_predictors(at))
         start = (y0, none(y0, self.stages), guesses, carry, 0)
@@ -276,7 +165,7 @@ class SDIRK(AbstractTimeScheme):
             times(lower),
             # A stage's value is y0 + dt sum_j a_ij k_j, and the weights' sum is zero.
             times(dt * (lower @ self._table(diagonal=True))),
-            _combine((dt * w_0, first_rate), (1.0, times(np.array(w)))),
+            combine((dt * w_0, first_rate), (1.0, times(np.array(w)))),
         )
 
     def _error_weights(self) -> np.ndarray:
@@ -324,19 +213,3 @@ def _lagrange(times, t) -> list:
         math.prod((t - other) / (time - other) for other in times if other != time)
         for time in times
     ]
-
-
-def jumps(inputs: Float[Array, "steps channels"]) -> Bool[Array, "steps channels"]:
-    """Where an input jumps at the beginning of a step; at the first, all do.
-
-    A jump changes an input by over 2 % of its range, and by over three times as much as the
-    steps before and after it do: samples of a ramp, however steep, are not jumps.
-    """
-    if inputs.shape[0] == 1:
-        return jnp.ones(inputs.shape, dtype=bool)
-    change = jnp.abs(jnp.diff(inputs, axis=0))
-    range_ = jnp.max(inputs, axis=0) - jnp.min(inputs, axis=0)
-    edge = jnp.zeros_like(change[:1])
-    before, after = jnp.concatenate([edge, change[:-1]]), jnp.concatenate([change[1:], edge])
-    jump = (change > 3 * jnp.maximum(before, after)) & (change > 0.02 * range_)
-    return jnp.concatenate([jnp.ones_like(jump[:1]), jump])
