@@ -89,20 +89,7 @@ def as_json(fit: Fit) -> dict:
     """
     return {
         "result": fit.result,
-        "parameters": {
-            name: {
-                "value": _plain(e.value),
-                "ci95": [_plain(end) for end in e.ci95],
-                "initial": _plain(e.initial),
-                "unit": e.unit,
-                "identifiable": e.identifiable,
-                "verdict": e.verdict,
-                "recording": e.recording,
-                "step_shift": _plain(e.step_shift),
-                "grid_shift": _plain(e.grid_shift),
-            }
-            for name, e in fit.parameters.items()
-        },
+        "parameters": {name: _estimate(e) for name, e in fit.parameters.items()},
         "rmse_m": fit.rmse_m,
         "held_out_rmse_m": {r.name: r.rmse for r in fit.held_out},
         "held_out_rmse_own_frame_m": {r.name: r.rmse_own_frame for r in fit.held_out},
@@ -148,6 +135,20 @@ def as_json(fit: Fit) -> dict:
         "intervals": fit.method.intervals,
         "seconds": fit.seconds,
         "remarks": remarks(fit),
+    }
+
+
+def _estimate(e: Estimate) -> dict:
+    return {
+        "value": _plain(e.value),
+        "ci95": [_plain(end) for end in e.ci95],
+        "initial": _plain(e.initial),
+        "unit": e.unit,
+        "identifiable": e.identifiable,
+        "verdict": e.verdict,
+        "recording": e.recording,
+        "step_shift": _plain(e.step_shift),
+        "grid_shift": _plain(e.grid_shift),
     }
 
 
