@@ -12,7 +12,7 @@ _HOME = {
     "write_log": "calibration.data.recording",
     "detect_onset": "calibration.data.onset",
     "calibrate": "calibration.fit",
-    "CalibrationError": "calibration.fit",
+    "CalibrationError": "calibration.search.minimum",
     "Fit": "calibration.report.results",
     "Estimate": "calibration.report.results",
     "write_report": "calibration.report.writing",
