@@ -15,7 +15,7 @@ from softrod_jax.rod.energies import stiffness_at_rest
 
 Scalar = Float[Array, ""]
 
-# Gauss' rule on [0, 1]: exact for what a uniform segment needs.
+# Of Gauss, on [0, 1]: exact for what a uniform segment needs.
 _PLACES, _WEIGHTS = np.polynomial.legendre.leggauss(4)
 _PLACES, _WEIGHTS = (1 + _PLACES) / 2, _WEIGHTS / 2
 

@@ -96,7 +96,7 @@ def _in_frame(point: Point, frame: Alignment) -> Point:
     nuisance = space.nuisance(point.x)
     if space.time_offset:
         low, high = (np.array([getattr(c, k) for c in space.clocks]) for k in ("low", "high"))
-        rows = np.arange(len(low))
+        rows, best = np.arange(len(low)), low
         for _ in range(_ROUNDS):
             delays = np.linspace(low, high, _DELAYS, axis=1)
             losses = np.asarray(losses_by_delay(motion, batch, nuisance, delays, length, frame))

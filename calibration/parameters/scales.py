@@ -5,6 +5,7 @@ A step of about 1 in theta is a large change for every scale, and theta has no f
 
 import abc
 from dataclasses import dataclass
+from typing import Any, ClassVar
 
 import jax
 import jax.numpy as jnp
@@ -17,25 +18,19 @@ LARGEST_FACTOR = 1e6
 
 @dataclass(frozen=True)
 class AbstractScale(abc.ABC):
-    """`value` of theta, and back; what is far, vague and well known in terms of theta."""
+    """`value` of theta, and back; what is far, vague and well known in terms of theta.
 
-    @property
-    @abc.abstractmethod
-    def largest(self) -> float:
-        """How far theta may go from 0 on either side."""
+    - `largest`: how far theta may go from 0 on either side.
+    - `vague`: a standard error above which linearisation is not trusted.
+    - `identified`: the widest 95 % interval that still counts as knowing the parameter.
+    """
 
-    @property
-    @abc.abstractmethod
-    def vague(self) -> float:
-        """A standard error above which linearisation is not trusted."""
-
-    @property
-    @abc.abstractmethod
-    def identified(self) -> float:
-        """The widest 95 % interval that still counts as knowing the parameter."""
+    largest: ClassVar[float]
+    vague: ClassVar[float]
+    identified: ClassVar[float]
 
     @abc.abstractmethod
-    def value(self, initial, theta):
+    def value(self, initial, theta) -> Any:
         """The value at `theta`."""
 
     @abc.abstractmethod

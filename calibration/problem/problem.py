@@ -167,5 +167,5 @@ def make_problem(
     """
     batch, clocks = make_batch(setup.scene, data, time_offset, dt)
     windows = {name: ramps.shape[-1] for name, ramps in batch.ramps.items()}
-    space = SearchSpace(parameters, clocks, time_offset, windows, setup.scene.length)
+    space = SearchSpace(parameters, clocks, time_offset, windows, float(setup.scene.length))
     return Problem(setup, batch, space, scheme, method)

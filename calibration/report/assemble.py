@@ -83,7 +83,7 @@ def _estimates(resolved: Resolved, labels: Sequence[str]) -> dict[str, Estimate]
         out[u.label] = Estimate(
             name=u.parameter.name,
             recording=None if u.recording is None else labels[u.recording],
-            value=at(best.x[i]),
+            value=_plain(u.value(best.x[i])),
             ci95=(at(uncertainty.low[i]), at(uncertainty.high[i])),
             initial=_plain(u.initial),
             unit=u.parameter.unit,

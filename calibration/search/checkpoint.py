@@ -90,7 +90,7 @@ def read_checkpoint(path: Path | None):
         fit, done, x, loss = (content[k] for k in ("fit", "done", "x", "loss"))
         x, loss = None if x is None else _vector(x), float(loss)
         for start in done:
-            _vector(start["x"]), float(start["loss"]), str(start["result"])
+            _ = _vector(start["x"]), float(start["loss"]), str(start["result"])
     except OSError as e:
         raise CheckpointError(
             f"{path}: nothing to go on from ({e.strerror or e}); start without resuming"

@@ -130,7 +130,7 @@ def _frequency(problem: Problem, tip: np.ndarray) -> float | None:
 
     The highest peak of the mean spectrum, from the second period of the record on.
     """
-    total, grid = 0.0, None
+    total, grid = np.zeros(1), None
     times = np.asarray(problem.batch.times)
     for k, clock in enumerate(problem.space.clocks):
         measured = np.all(np.asarray(problem.batch.used)[k], axis=1)
