@@ -25,7 +25,7 @@ from calibration.search.checkpoint import Checkpoint, read_checkpoint
 from calibration.search.history import History
 from calibration.search.minimum import find_minimum
 from calibration.search.progress import Bar, Silent
-from calibration.search.settings import SearchSettings
+from calibration.search.settings import SearchOptions
 
 
 def calibrate(
@@ -109,7 +109,7 @@ def calibrate(
     `CalibrationError` if nothing can be simulated from the scene's values.
     """
     begun = time.perf_counter()
-    settings = SearchSettings(optimiser, loss, starts, seed, max_iterations)
+    options = SearchOptions(optimiser, loss, starts, seed, max_iterations)
     check_material(material)
     if resume:
         read_checkpoint(checkpoint)  # before anything is simulated
@@ -119,7 +119,7 @@ def calibrate(
     setup, parameters = choose_unknowns(
         scene, data.recordings, data.labels, fit, per_recording, bounds, places=data.conditions
     )
-    settings = settings.completed(len(parameters.names))
+    settings = options.settings(len(parameters.names))
     profiled = parameters.indices(profiles)
     problem = resolution.first_problem(setup, parameters, time_offset, scheme)
     with Bar() if progress else Silent() as meter:

@@ -106,7 +106,8 @@ def test_places_stay_in_the_section(recording, name):
     (item,) = unknowns.items
     for end in (item.low, item.high):
         moved = item.parameter.put(setup, item.value(end)).scene
-        assert bool(jnp.all(moved.section.contains(moved.tendons.offsets)))
+        # A tendon in the surface is inside, up to rounding.
+        assert bool(jnp.all(moved.section.contains((1 - 1e-8) * moved.tendons.offsets)))
     beyond = item.parameter.put(setup, item.value(item.high + 0.05)).scene
     assert not bool(jnp.all(beyond.section.contains(beyond.tendons.offsets)))
 

@@ -47,6 +47,8 @@ def read_c3d(
     rotation = axes_matrix(axes, f"{path}: ")
     file = read_points(path)
     tips, bases, notes = _chosen(path, file, tip_markers, base_markers)
+    if file.rate is None:
+        raise RecordingError(f"{path}: POINT:RATE is missing, expected a number above 0 [Hz]")
     points = length_unit(path, file.unit) * file.positions @ rotation.T
     for markers in (tips, bases):
         check_one_body(path, points[:, markers], [file.labels[j] for j in markers], scene)
@@ -74,8 +76,7 @@ def read_c3d(
 def _chosen(
     path, file: Points, tip_markers: str, base_markers: str | None
 ) -> tuple[list[int], list[int], list[str]]:
-    """The markers of the tip and of the clamp, and notes. Raises `RecordingError` without a tip,
-    and for a file without a rate."""
+    """The markers of the tip and of the clamp, and notes. Raises `RecordingError` without a tip."""
     tips, notes = _find(path, file, tip_markers, "tip_markers")
     if not tips:
         others = f" (not positions: {', '.join(file.kinds)})" if file.kinds else ""
@@ -83,8 +84,6 @@ def _chosen(
             f"{path}: no marker's label begins with {tip_markers!r} (tip_markers); the file has "
             f"{', '.join(x for x in file.labels if x not in file.kinds)}{others}"
         )
-    if file.rate is None:
-        raise RecordingError(f"{path}: POINT:RATE is missing, expected a number above 0 [Hz]")
     bases: list[int] = []
     if base_markers is not None:
         bases, others = _find(path, file, base_markers, "base_markers")

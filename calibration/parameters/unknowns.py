@@ -2,6 +2,7 @@
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -79,7 +80,7 @@ class Unknowns:
         return Unknowns(self.names, tuple(items), columns), np.array(thetas)
 
 
-def conditioned(setup: Setup, conditions: Mapping[str, float]) -> Setup:
+def conditioned(setup: Setup, conditions: Mapping[str, Any]) -> Setup:
     """The setup with the values that a recording gives."""
     parameters, _ = catalogue(setup.scene)
     for name, value in conditions.items():
@@ -133,7 +134,9 @@ def choose_unknowns(
     return setup, Unknowns(names, tuple(items), columns)
 
 
-def _unknown(parameter: Parameter, label: str, recording: int | None, setup: Setup, given):
+def _unknown(
+    parameter: Parameter, label: str, recording: int | None, setup: Setup, given
+) -> Unknown:
     """An unknown that is searched around its value in `setup`, between the bounds `given`."""
     initial = np.asarray(parameter.get(setup))
     low, high = _bounds(parameter, initial, given, setup)

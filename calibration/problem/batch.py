@@ -148,7 +148,7 @@ def _measured(data: Dataset, clocks: Sequence[Clock], samples: int):
 
 def _ramps(
     data: Dataset, clocks: Sequence[Clock], windows: Mapping[str, int], steps: int, samples: int
-) -> dict[str, Float[Array, "recordings _ windows"]]:
+) -> dict[str, Float[Array, "recordings _ _"]]:
     """What part of each window is over, by channel: inputs at their rows, others at samples."""
     rows = {name: steps + 1 if name == "inputs" else samples for name in windows}
     check_memory(

@@ -1,7 +1,9 @@
 """The recordings of a fit, told apart, and which of their samples are compared."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+
+import numpy as np
 
 import softrod_jax as sr
 from calibration.data.recording import Recording
@@ -32,11 +34,12 @@ class Dataset:
 
     def take(self, indices: Sequence[int]) -> "Dataset":
         """The recordings at these indices, in their order; one may be taken more than once."""
-        recordings, labels, selections = (
-            tuple(part[i] for i in indices)
-            for part in (self.recordings, self.labels, self.selections)
+        return replace(
+            self,
+            recordings=tuple(self.recordings[i] for i in indices),
+            labels=tuple(self.labels[i] for i in indices),
+            selections=tuple(self.selections[i] for i in indices),
         )
-        return Dataset(recordings, labels, selections, self.conditions, self.drift)
 
 
 def datasets(
@@ -74,7 +77,7 @@ def _usual_conditions(scene: sr.Scene, recordings: Sequence[Recording]) -> dict[
     names = {name for r in recordings for name in r.conditions}
     setup = prepared(scene, names)
     parameters, _ = catalogue(setup.scene)
-    return {name: float(parameters[name].get(setup)) for name in names}
+    return {name: float(np.asarray(parameters[name].get(setup))) for name in names}
 
 
 def _labels(recordings: Sequence[Recording]) -> tuple[str, ...]:

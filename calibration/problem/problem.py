@@ -57,8 +57,9 @@ class Point:
 
     @property
     def _derivatives(self):
-        found = self.evaluation
-        return self.problem.space.derivatives(found.by_parameter, found.by_nuisance)
+        by_nuisance = {name: np.asarray(x) for name, x in self.evaluation.by_nuisance.items()}
+        by_parameter = np.asarray(self.evaluation.by_parameter)
+        return self.problem.space.derivatives(by_parameter, by_nuisance)
 
     @cached_property
     def misfit(self) -> float:
@@ -158,7 +159,7 @@ def make_problem(
     data: Dataset,
     time_offset: bool,
     dt: float | Sequence[float] | None,
-    scheme=SCHEME,
+    scheme: sr.SDIRK | sr.BDFAlpha = SCHEME,
     method: sr.Collocation = METHOD,
 ) -> Problem:
     """The problem of fitting `parameters` of `setup`, and delays if `time_offset`, to `data`.

@@ -67,5 +67,5 @@ def losses_by_delay(motion: Motion, batch: Batch, nuisance, delays, length, fram
 def residuals_in(motion: Motion, batch: Batch, nuisance, length, frame: Alignment):
     """Residuals [m] of all recordings, (recordings, samples, 3), and their alignments, seen in
     `frame` where their own is free."""
-    one = lambda *recording: residual(*recording, length, frame)
+    one = lambda motion, recording, own: residual(motion, recording, own, length, frame)
     return jax.vmap(one)(motion, batch, nuisance)

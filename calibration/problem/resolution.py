@@ -78,7 +78,11 @@ class Resolution:
             )
 
     def first_problem(
-        self, setup: Setup, parameters: Unknowns, time_offset: bool, scheme=SCHEME
+        self,
+        setup: Setup,
+        parameters: Unknowns,
+        time_offset: bool,
+        scheme: sr.SDIRK | sr.BDFAlpha = SCHEME,
     ) -> Problem:
         """The problem of fitting `parameters`, with the steps and the grid to try first."""
         dt = _first_steps(self.data) if self.dt is None else self.dt

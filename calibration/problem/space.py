@@ -74,7 +74,8 @@ class SearchSpace:
         is, -1 for none, and its size in units of x."""
         many, end = len(self.clocks), self.drifts.start
         place = np.arange(many) + self.parameter_count if self.time_offset else np.full(many, -1)
-        columns = {"delay": (place, np.array([clock.interval for clock in self.clocks]))}
+        columns: dict[str, tuple[np.ndarray, np.ndarray]] = {}
+        columns["delay"] = place, np.array([clock.interval for clock in self.clocks])
         for name, windows in self.windows.items():
             place = np.full((many, windows, drift.CHANNELS[name]), -1)
             size = np.zeros(place.shape)

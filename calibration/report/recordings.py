@@ -23,13 +23,12 @@ def held_out_fits(best: Point, unseen: Dataset, dt: float | None) -> tuple[Recor
     """The predictions of recordings that were kept aside, from the best point of a fit."""
     fits = []
     for found in predictions(best, unseen, dt):
-        frame_fitted = found.fitted_frame is None
-        shown = found.own_frame if frame_fitted else found.fitted_frame
+        shown = found.own_frame if found.fitted_frame is None else found.fitted_frame
         for k in range(found.count):
             fit = recording_fit(shown, k, found.data)
             if not fit.recording.origin_known:
                 own = recording_fit(found.own_frame, k, found.data).rmse
-                fit = replace(fit, rmse_own_frame=own, frame_fitted=frame_fitted)
+                fit = replace(fit, rmse_own_frame=own, frame_fitted=shown is found.own_frame)
             fits.append(fit)
     return tuple(fits)
 

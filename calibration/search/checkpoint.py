@@ -78,7 +78,7 @@ class Checkpoint:
         self.done, self.x, self._loss = done, x, loss
 
 
-def read_checkpoint(path: Path | None):
+def read_checkpoint(path: str | PathLike | None):
     """Which fit it is of, the ends of its searches, and where the search is: parameters and loss.
 
     Raises `CheckpointError` where there is none, and for what is none.

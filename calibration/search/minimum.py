@@ -26,7 +26,7 @@ def find_minimum(
 ) -> tuple[Outcome, tuple[Start, ...]]:
     """The best outcome of all starts with outliers taken out, and how each start ended.
 
-    `settings` are completed. Raises `CalibrationError` if nothing can be simulated.
+    Raises `CalibrationError` if nothing can be simulated.
     """
     parameters = len(problem.space.parameters.names)
     reverse = settings.optimiser == "adam" and reverse_pays(parameters, outputs=1)

@@ -1,16 +1,27 @@
 """How a minimum is looked for: by which optimiser, of which loss, from how many starts."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 from calibration.search import optimise, robust
 
 
 @dataclass(frozen=True)
 class SearchSettings:
+    """How a search is done; `max_iterations`: evaluations of each start."""
+
+    optimiser: str
+    loss: str
+    starts: int
+    seed: int
+    max_iterations: int
+
+
+@dataclass(frozen=True)
+class SearchOptions:
     """What a user may choose of a search, as for `calibration.calibrate`.
 
-    `optimiser` and `max_iterations`, evaluations of each start, are None where the usual ones are
-    wanted. Raises `ValueError` for values that are not allowed.
+    `optimiser` and `max_iterations` are None where the usual ones are wanted. Raises `ValueError`
+    for values that are not allowed.
     """
 
     optimiser: str | None = None
@@ -30,10 +41,10 @@ class SearchSettings:
             if value is not None and value < 1:
                 raise ValueError(f"{name}={value}: at least 1 is needed")
 
-    def completed(self, parameters: int) -> "SearchSettings":
-        """The settings with what is usual for so many parameters where nothing was chosen."""
+    def settings(self, parameters: int) -> SearchSettings:
+        """The settings, with what is usual for so many parameters where nothing was chosen."""
         optimiser = self.optimiser or optimise.usual(parameters)
-        most = self.max_iterations
-        if most is None:
-            _, most = optimise.OPTIMISERS[optimiser]
-        return replace(self, optimiser=optimiser, max_iterations=most)
+        _, most = optimise.OPTIMISERS[optimiser]
+        if self.max_iterations is not None:
+            most = self.max_iterations
+        return SearchSettings(optimiser, self.loss, self.starts, self.seed, most)
