@@ -12,11 +12,11 @@ if TYPE_CHECKING:
     from calibration.data.recording import Recording as Recording
     from calibration.data.recording import RecordingError as RecordingError
     from calibration.data.recording import write_log as write_log
-    from calibration.fit import CalibrationError as CalibrationError
     from calibration.fit import calibrate as calibrate
     from calibration.report.results import Estimate as Estimate
     from calibration.report.results import Fit as Fit
     from calibration.report.writing import write_report as write_report
+    from calibration.search.minimum import CalibrationError as CalibrationError
 
 _HOME = {
     "Recording": "calibration.data.recording",
@@ -25,7 +25,7 @@ _HOME = {
     "write_log": "calibration.data.recording",
     "detect_onset": "calibration.data.onset",
     "calibrate": "calibration.fit",
-    "CalibrationError": "calibration.fit",
+    "CalibrationError": "calibration.search.minimum",
     "Fit": "calibration.report.results",
     "Estimate": "calibration.report.results",
     "write_report": "calibration.report.writing",

@@ -46,7 +46,7 @@ def factor(table: Table, part: Spec, kind: str, names: list[str], scaled: bool =
     return factors.pop() if factors else units.UNITS[kind][usual]
 
 
-class Clock:
+class TimeColumn:
     """When samples were taken: a column, a rate, or what the file knows. `key`: in the mapping."""
 
     def __init__(self, table: Table, spec: Spec):

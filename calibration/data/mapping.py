@@ -52,7 +52,7 @@ from calibration.data.cells import NumberFormat
 from calibration.data.clocks import check_overlap, find_gaps
 from calibration.data.frames import axes_matrix, check_one_body, from_base_markers, from_rest
 from calibration.data.loads import without_noise_below_zero
-from calibration.data.mapped_columns import Clock, check_interval, factor, one_zero
+from calibration.data.mapped_columns import TimeColumn, check_interval, factor, one_zero
 from calibration.data.mapping_file import Spec, read_toml
 from calibration.data.plausible import Source, check_reach
 from calibration.data.recording import Recording, RecordingError
@@ -73,7 +73,7 @@ def read_mapped(path: str | PathLike, mapping: str | PathLike, scene) -> Recordi
     """
     spec = read_toml(mapping)
     table = read_table(path, _text_options(spec.table("csv", required=False)))
-    clock = Clock(table, spec.table("time", required=table.interval is None))
+    clock = TimeColumn(table, spec.table("time", required=table.interval is None))
     tip, clock_of_tip, notes, known, source = _tip(table, spec, clock, scene)
     inputs = {
         name: [_input(table, part, kind, clock) for part in spec.tables(name)]
@@ -134,10 +134,10 @@ def _text_options(spec: Spec) -> TextOptions:
     return options
 
 
-def _tip(table: Table, spec: Spec, clock: Clock, scene):
+def _tip(table: Table, spec: Spec, clock: TimeColumn, scene):
     part = spec.table("tip")
     own = part.table("time", required=False)
-    clock = Clock(table, own) if own.content else clock
+    clock = TimeColumn(table, own) if own.content else clock
     columns = part.texts("columns", 3, required=False)
     markers = part.get("markers", list, "a list of lists of 3 column names", None, False)
     if (columns is None) == (markers is None):
@@ -166,16 +166,7 @@ def _tip(table: Table, spec: Spec, clock: Clock, scene):
             f"{part.where}markers: their columns have different numbers of samples"
         )
     check_one_body(table.path, np.stack(placed, axis=1), [names[0] for names in found], scene)
-    seen, meant = [], []
-    for marker in spec.tables("base_markers"):
-        names = [table.find(name, "base") for name in marker.texts("columns", 3)]
-        seen.append(place(names))
-        meant.append(marker.vector("position"))
-        marker.done()
-        if len(seen[-1]) != count:
-            raise RecordingError(
-                f"{marker.where}columns: {len(seen[-1])} samples, the tip has {count}"
-            )
+    seen, meant = _base_markers(table, spec, place, count)
     notes = []
     always = origin is None and not rest and not seen and base_is_zero(scene)
     for several in (placed, seen):
@@ -203,6 +194,21 @@ def _tip(table: Table, spec: Spec, clock: Clock, scene):
     return tip, at[there], notes, not rest, source
 
 
+def _base_markers(table: Table, spec: Spec, place, count: int):
+    """Where markers on the clamp were seen, (T, 3) [m] each, and where they are meant to be."""
+    seen, meant = [], []
+    for marker in spec.tables("base_markers"):
+        names = [table.find(name, "base") for name in marker.texts("columns", 3)]
+        seen.append(place(names))
+        meant.append(marker.vector("position"))
+        marker.done()
+        if len(seen[-1]) != count:
+            raise RecordingError(
+                f"{marker.where}columns: {len(seen[-1])} samples, the tip has {count}"
+            )
+    return seen, meant
+
+
 def _place(table: Table, names, missing, unit, turn) -> np.ndarray:
     """A marker (T, 3) [m] in the scene's axes; NaN where it, or a coordinate, was not seen."""
     count = len(table.columns[next(name for name in names if name)])
@@ -223,10 +229,10 @@ def _picked(turn):
     return [(int(np.argmax(np.abs(row))), float(np.sum(row))) for row in turn]
 
 
-def _input(table: Table, part: Spec, kind: str, clock: Clock):
+def _input(table: Table, part: Spec, kind: str, clock: TimeColumn):
     """Name, times and values [SI] of one actuator, without missing samples; labels, time's key."""
     own = part.table("time", required=False)
-    clock = Clock(table, own) if own.content else clock
+    clock = TimeColumn(table, own) if own.content else clock
     name = table.find(part.text("column"))
     values = table.numbers(name, f"inputs are needed in every row: {_FILL}")
     times = clock.of(len(values), name)

@@ -61,7 +61,7 @@ def hangs(scene: sr.Scene, recording: Recording) -> bool:
 
 def beginning(recording: Recording, hanging: bool) -> str:
     """What is assumed of how a recording begins, in words."""
-    if recording.tensions is None and recording.pressures is None:
+    if not recording.has_inputs:
         return "straight, held until it is let go"
     told = "" if recording.starts_hanging is None else ", as it was told"
     if hanging:
@@ -70,17 +70,17 @@ def beginning(recording: Recording, hanging: bool) -> str:
 
 
 def _linear_deflection(scene: sr.Scene, recording: Recording) -> Float[np.ndarray, "3"]:
-    """Of the tip [m] under all loads and the first inputs, by linear beam theory, in the base
-    frame."""
+    """The deflection of the tip [m] under all loads and the first inputs, by linear beam theory, in
+    the base frame."""
     L = float(scene.length)
     rod = bulk(scene)
     EI, EA = np.asarray(rod.EI), float(rod.EA)
     h = None if scene.base_quaternion is None else np.asarray(scene.base_quaternion)
 
-    def seen(vector, turn):
-        """In the frame of the clamp (-1), or back in the base frame (1)."""
+    def seen(vector, sense):
+        """The vector in the frame of the clamp (-1), or back in the base frame (1)."""
         vector = jnp.zeros(3) if vector is None else jnp.asarray(vector, dtype=float)
-        own = None if h is None else jnp.array(h * [1, turn, turn, turn])
+        own = None if h is None else jnp.array(h * [1, sense, sense, sense])
         return np.asarray(vector if own is None else rotated(own, vector))
 
     gravity = seen(scene.gravity, -1)

@@ -22,7 +22,7 @@ from calibration.experiment.setup import rotated
 _OFFSET = 0.5
 
 
-def held(
+def with_supporting_hand(
     scene: sr.Scene, duration: Float[Array, ""], dt: Float[Array, ""], steps: int
 ) -> tuple[sr.Scene, Float[Array, "steps 1"]]:
     """The scene with the supporting tendon, and its tension [N] in each step.

@@ -70,14 +70,14 @@ class Setup(eqx.Module):
         return tensions * self.tendon_efficiency
 
 
-def rotated(h: Float[Array, "*n 4"], a: Float[Array, "*n 3"]) -> Float[Array, "*n 3"]:
+def rotated(h: Float[Array, "*#n 4"], a: Float[Array, "*#n 3"]) -> Float[Array, "*#n 3"]:
     """`a` turned by the unit quaternion `h` (w, x, y, z)."""
     w, r = h[..., :1], h[..., 1:]
     return a + 2 * jnp.cross(r, jnp.cross(r, a) + w * a)
 
 
 def _quaternion(rotation: Float[Array, "3"]) -> Float[Array, "4"]:
-    """Of a rotation vector [rad], below half a turn."""
+    """The unit quaternion of a rotation vector [rad] that is shorter than pi."""
     # The square root has no derivative at 0; a nanoradian changes nothing.
     angle = jnp.sqrt(jnp.sum(rotation**2) + 1e-18)
     return jnp.concatenate([jnp.cos(angle / 2)[None], jnp.sin(angle / 2) / angle * rotation])

@@ -17,7 +17,7 @@ LARGEST_FACTOR = 1e6
 
 
 @dataclass(frozen=True)
-class Scale(abc.ABC):
+class AbstractScale(abc.ABC):
     """`value` of theta, and back; what is far, vague and well known in terms of theta.
 
     - `largest`: how far theta may go from 0 on either side.
@@ -37,17 +37,17 @@ class Scale(abc.ABC):
     def theta(self, initial, value) -> float:
         """The coordinate of `value`; raises `ValueError` for one that is not allowed."""
 
+    @abc.abstractmethod
     def limited(self, step: float) -> tuple[float, float]:
         """A step of an optimiser that is proportional to the value's, kept from overshooting, and
         the change of theta that it stands for."""
-        return step, step
 
 
 _LARGEST_FALL, _LARGEST_RISE = -0.8, 1e4  # of a value in one step, relative
 
 
 @dataclass(frozen=True)
-class Factor(Scale):
+class Factor(AbstractScale):
     """value = initial exp(theta): positive, and a step means the same for all magnitudes.
 
     An interval counts as known if its ends are less than a factor of four apart: a damping
@@ -74,7 +74,7 @@ class Factor(Scale):
 
 
 @dataclass(frozen=True)
-class Between(Scale):
+class Between(AbstractScale):
     """A value in the open interval (low, high): its logit moves by theta."""
 
     low: float
@@ -93,9 +93,12 @@ class Between(Scale):
         logit = lambda x: np.log((x - self.low) / (self.high - x))
         return float(logit(value) - logit(initial))
 
+    def limited(self, step):
+        return step, step
+
 
 @dataclass(frozen=True)
-class Shift(Scale):
+class Shift(AbstractScale):
     """value = initial + size theta, of either sign; `size`: a change that matters."""
 
     size: float
