@@ -91,7 +91,7 @@ def drifts(nuisance: Mapping[str, np.ndarray | np.floating], clock: Clock) -> di
     `calibration.problem.evaluation`."""
     found = {}
     for name, windows in clock.windows.items():
-        steps = nuisance[name][:windows]
+        steps = np.asarray(nuisance[name])[:windows]
         edges = clock.start + clock.duration * np.linspace(0, 1, windows + 1)
         values = np.concatenate([np.zeros_like(steps[:1]), np.cumsum(steps, axis=0)])
         found[name] = Drift(edges, values)

@@ -5,12 +5,11 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Array, Float
 
 from calibration.experiment import drift
 from calibration.experiment.clock import Clock
 from calibration.parameters.unknowns import Unknowns
-from softrod_jax.foundation.numbers import ScalarLike
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,7 +95,7 @@ class SearchSpace:
             for name, (place, size) in self.nuisance_columns.items()
         }
 
-    def values(self, x: Float[np.ndarray, "unknowns"]) -> dict[str, ScalarLike]:
+    def values(self, x: Float[np.ndarray, "unknowns"]) -> dict[str, Array | np.ndarray | np.number]:
         """The parameters' values at `x`, by label."""
         return {u.label: u.value(t) for u, t in zip(self.parameters.items, x, strict=False)}
 
