@@ -4,6 +4,19 @@ Names are imported when first used, so that `softrod --help` does not wait for J
 """
 
 from importlib import import_module
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from calibration.data.loading import load_recording as load_recording
+    from calibration.data.onset import detect_onset as detect_onset
+    from calibration.data.recording import Recording as Recording
+    from calibration.data.recording import RecordingError as RecordingError
+    from calibration.data.recording import write_log as write_log
+    from calibration.fit import calibrate as calibrate
+    from calibration.report.results import Estimate as Estimate
+    from calibration.report.results import Fit as Fit
+    from calibration.report.writing import write_report as write_report
+    from calibration.search.minimum import CalibrationError as CalibrationError
 
 _HOME = {
     "Recording": "calibration.data.recording",
@@ -12,13 +25,13 @@ _HOME = {
     "write_log": "calibration.data.recording",
     "detect_onset": "calibration.data.onset",
     "calibrate": "calibration.fit",
-    "CalibrationError": "calibration.fit",
+    "CalibrationError": "calibration.search.minimum",
     "Fit": "calibration.report.results",
     "Estimate": "calibration.report.results",
     "write_report": "calibration.report.writing",
 }
 
-__all__ = list(_HOME)
+__all__ = list(_HOME)  # pyright: ignore[reportUnsupportedDunderAll]
 
 
 def __getattr__(name: str):

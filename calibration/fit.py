@@ -2,7 +2,6 @@
 
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from os import PathLike
 
 import jax
@@ -10,39 +9,23 @@ import jax.numpy as jnp
 
 import softrod_jax as sr
 from calibration.data.recording import Recording
-from calibration.data.selection import select
-from calibration.experiment.drift import durations
-from calibration.inference import uncertainty
-from calibration.inference.checks import predicted
-from calibration.inference.explain import explain as what_else
+from calibration.inference.explain import explain_residuals
 from calibration.inference.first_look import check_axes
-from calibration.inference.resolution import (
-    REFITS,
-    TOLERANCE,
-    Refined,
-    Resolution,
-    finer_problem,
-    first_choice,
-    first_steps,
-    refine,
-)
-from calibration.parameters import materials
-from calibration.parameters.catalogue import catalogue
-from calibration.parameters.unknowns import Unknowns, check_conditions, choose_unknowns
-from calibration.problem.evaluation import reverse_pays
-from calibration.problem.motion import METHOD, SCHEME, make_batch
-from calibration.problem.problem import Point, Problem
-from calibration.report.assemble import estimates, recording_fit, setup_with
-from calibration.report.results import Fit, RecordingFit
-from calibration.search import optimise, robust
+from calibration.inference.profile import profile_likelihoods
+from calibration.inference.refinement import refine_until_resolved
+from calibration.parameters.materials import check_material
+from calibration.parameters.unknowns import choose_unknowns
+from calibration.problem.dataset import datasets
+from calibration.problem.motion import SCHEME
+from calibration.problem.resolution import Resolution, choose_resolution
+from calibration.report.assemble import assemble_fit
+from calibration.report.recordings import held_out_fits
+from calibration.report.results import Fit
 from calibration.search.checkpoint import Checkpoint, read_checkpoint
-from calibration.search.multistart import Log, polished, reweighted, search
-from calibration.search.optimise import Outcome
+from calibration.search.history import History
+from calibration.search.minimum import find_minimum
 from calibration.search.progress import Bar, Silent
-
-
-class CalibrationError(ValueError):
-    """A calibration that cannot be done: the message says why and what to try."""
+from calibration.search.settings import SearchOptions
 
 
 def calibrate(
@@ -70,7 +53,7 @@ def calibrate(
     drift: Mapping[str, float] | None = None,
     checkpoint: str | PathLike | None = None,
     resume: bool = False,
-    scheme=SCHEME,
+    scheme: sr.SDIRK | sr.BDFAlpha = SCHEME,
     method: sr.Collocation | None = None,
 ) -> Fit:
     """Fit numbers of `scene`, and of the bench around it, so that its tip moves as recorded.
@@ -126,186 +109,42 @@ def calibrate(
     `CalibrationError` if nothing can be simulated from the scene's values.
     """
     begun = time.perf_counter()
-    scene = jax.tree.map(jnp.asarray, scene)
-    recordings = [recordings] if isinstance(recordings, Recording) else list(recordings)
-    if not recordings:
-        raise ValueError("recordings: none given; at least one is needed")
-    own = (per_recording,) if isinstance(per_recording, str) else tuple(per_recording)
-    held_out = [held_out] if isinstance(held_out, Recording) else list(held_out)
-    if optimiser is not None:
-        _check_choice("optimiser", optimiser, optimise.OPTIMISERS)
-    _check_choice("loss", loss, robust.LOSSES)
-    if material is not None:
-        _check_choice("material", material, materials.MATERIALS)
-    for name, value in (("max_iterations", max_iterations), ("starts", starts)):
-        if value is not None and value < 1:
-            raise ValueError(f"{name}={value}: at least 1 is needed")
-    if tolerance is not None and not 0 < tolerance < 1:
-        raise ValueError(f"tolerance={tolerance!r}: a part of the rod's length in (0, 1) is needed")
+    options = SearchOptions(optimiser, loss, starts, seed, max_iterations)
+    check_material(material)
     if resume:
         read_checkpoint(checkpoint)  # before anything is simulated
-    drift = durations(drift)
-    labels = _labels([*recordings, *held_out])
-    check_conditions(scene, [*recordings, *held_out])
-    differing = {name for r in (*recordings, *held_out) for name in r.conditions}
-    setup, unknowns = choose_unknowns(scene, recordings, labels, fit, own, bounds or {}, differing)
-    profiled = _indices(unknowns, profiles)
-    optimiser = optimiser or optimise.usual(len(unknowns.names))
-    if max_iterations is None:
-        _, max_iterations = optimise.OPTIMISERS[optimiser]
-
-    selections = [select(r, window) for r in recordings]
-    known_parameters, _ = catalogue(setup.scene)
-    defaults = {name: known_parameters[name].get(setup) for name in differing}
-    resolution = Resolution(
-        recordings, selections, defaults, drift, tolerance or TOLERANCE,
-        steps_fixed=dt is not None, grid_fixed=method is not None,
-    )  # fmt: skip
-    steps = first_steps(recordings, selections) if dt is None else dt
-    batch, clocks = make_batch(scene, recordings, selections, time_offset, steps, defaults, drift)
-    problem = Problem(setup, batch, clocks, unknowns, time_offset, scheme, method or METHOD)
-    descends = optimiser == "adam" and reverse_pays(len(unknowns.names), outputs=1)
+    scene = jax.tree.map(jnp.asarray, scene)
+    data, unseen = datasets(scene, recordings, held_out, window, drift)
+    resolution = Resolution(data, dt, method, tolerance)
+    setup, parameters = choose_unknowns(
+        scene, data.recordings, data.labels, fit, per_recording, bounds, places=data.conditions
+    )
+    settings = options.settings(len(parameters.names))
+    profiled = parameters.indices(profiles)
+    problem = resolution.first_problem(setup, parameters, time_offset, scheme)
     with Bar() if progress else Silent() as meter:
         meter.stage("steps and grid", None)
-        problem = first_choice(problem, resolution)
-        check_axes(problem.at(problem.start()), recordings)
-        searched = replace(problem, reverse=descends)
-        saved = Checkpoint(checkpoint, problem, resume, (optimiser, loss, starts, seed))
-        log = Log(meter, saved)
-        outcome, ends = search(searched, optimiser, max_iterations, starts, seed, log)
-        if not outcome.best.ok:
-            raise CalibrationError(
-                "the scene cannot be simulated, neither at its own values nor at others nearby: "
-                f"{sr.result_message(outcome.best.result)}"
-            )
-        if descends:
-            # What follows needs the sensitivities of every residual.
-            outcome = replace(outcome, best=problem.at(outcome.best.x))
-        outcome = reweighted(outcome, loss, max_iterations, log)
-        outcome, known, finer = _settled(outcome, resolution, checks, max_iterations, log)
-        best, problem = outcome.best, outcome.best.problem
-        if profiled:
-            log.stage("profiles", None)
-        curves = {
-            unknowns.items[i].label: uncertainty.profile(best, known, i, log.add) for i in profiled
-        }
-        explanations = None
-        if explain:
-            log.stage("what else", None)
-            explanations = tuple(what_else(best, recordings, labels, own, bounds or {}, log.add))
-        others = _held_out(best, held_out, labels[len(recordings) :], window, dt, defaults)
-        log.result(best)
-    n = problem.size
-    parameters = estimates(problem, best, known, finer, labels)
-    final = setup_with(problem, best, known)
-    return Fit(
-        scene=final.scene,
-        setup=final,
-        parameters=parameters,
-        recordings=tuple(
-            recording_fit(best, k, label, r, s, known, finer.motions)
-            for k, (label, r, s) in enumerate(zip(labels, recordings, selections, strict=False))
-        ),
-        held_out=others,
-        result=outcome.result,
-        optimiser=optimiser,
-        loss=loss,
-        iterations=outcome.iterations,
-        evaluations=len(log.history),
-        history=log.history,
-        correlation=known.correlation[:n, :n],
-        samples=known.samples,
-        effective_samples=known.effective_samples,
-        profiles=curves,
+        problem = choose_resolution(problem, resolution)
+        check_axes(problem.at(problem.space.origin()), data.recordings)
+        history = History(meter, Checkpoint(checkpoint, problem, resume, settings))
+        outcome, ends = find_minimum(problem, settings, history)
+        resolved = refine_until_resolved(
+            outcome, resolution, checks, settings.max_iterations, history
+        )
+        best = resolved.best
+        curves = profile_likelihoods(best, resolved.uncertainty, profiled, history)
+        reasons = explain_residuals(best, data, per_recording, bounds, history) if explain else None
+        predicted = held_out_fits(best, unseen, dt)
+        history.result(best)
+    return assemble_fit(
+        resolved,
+        data,
+        settings,
+        history,
         starts=ends,
-        explanations=explanations,
+        profiles=curves,
+        explanations=reasons,
+        held_out=predicted,
         material=material,
-        dt=dict(zip(labels, (c.dt for c in problem.clocks), strict=False)),
-        method=problem.method,
-        resolution_note=finer.note,
-        checkpoint=saved,
         seconds=time.perf_counter() - begun,
     )
-
-
-def _settled(outcome: Outcome, resolution: Resolution, checks: bool, max_iterations: int, log):
-    """The outcome, fitted again with finer simulations as long as they say something else; its
-    intervals, and what still finer ones say."""
-    known = finer = None
-    for attempt in range(REFITS + 1):
-        best = outcome.best
-        log.stage("intervals", None)
-        known, finer = uncertainty.estimate(best, log.add), Refined()
-        if not checks:
-            break
-        log.stage("checks", None)
-        finer = refine(best, known, resolution)
-        if not finer.again or attempt == REFITS or outcome.result == "interrupted":
-            break
-        again = polished(best, finer_problem(best.problem, finer, resolution), max_iterations, log)
-        if not again.best.ok:
-            break
-        result = again.result if outcome.result == "converged" else outcome.result
-        outcome = Outcome(again.best, result, outcome.iterations + again.iterations)
-    return outcome, known, finer
-
-
-def _check_choice(name: str, value, choices) -> None:
-    if value not in choices:
-        raise ValueError(f"{name}={value!r}: choose from {', '.join(choices)}")
-
-
-def _indices(unknowns: Unknowns, names: Sequence[str]) -> list[int]:
-    """The unknowns of the parameters or labels `names`."""
-    names = (names,) if isinstance(names, str) else tuple(names)
-    found = []
-    for name in names:
-        matching = [i for i, u in enumerate(unknowns.items) if name in (u.label, u.parameter.name)]
-        if not matching:
-            raise ValueError(f"profiles: {name!r} is not fitted; add it to fit, or leave it out")
-        found += matching
-    return found
-
-
-def _held_out(best: Point, recordings, labels, window, dt, defaults) -> tuple[RecordingFit, ...]:
-    """Predictions of `recordings`, through the program of the fit: as many at a time."""
-    found, problem = [], best.problem
-    many = len(problem.clocks)
-    for first in range(0, len(recordings), many):
-        some = recordings[first : first + many]
-        selections = [select(r, window) for r in some]
-        fill = many - len(some)
-        batch, clocks = make_batch(
-            problem.scene,
-            some + some[-1:] * fill,
-            selections + selections[-1:] * fill,
-            problem.time_offset,
-            dt or min(c.dt for c in problem.clocks),
-            defaults,
-            steps=problem.batch.steps,
-            samples=problem.batch.times.shape[1],
-            windows={name: x.shape[-1] for name, x in problem.batch.ramps.items()},
-        )
-        unknowns, x = problem.unknowns.shared(best.x, many)
-        own_frame, fitted_frame = predicted(
-            replace(problem, batch=batch, clocks=clocks, unknowns=unknowns), x, best
-        )
-        for k, (r, s) in enumerate(zip(some, selections, strict=True)):
-            shown = own_frame if fitted_frame is None else fitted_frame
-            fit = recording_fit(shown, k, labels[first + k], r, s)
-            if not r.origin_known:
-                own = recording_fit(own_frame, k, labels[first + k], r, s).rmse
-                fit = replace(fit, rmse_own_frame=own, frame_fitted=fitted_frame is None)
-            found.append(fit)
-    return tuple(found)
-
-
-def _labels(recordings) -> list[str]:
-    """The recordings' names, told apart by numbers where they are the same."""
-    labels: list[str] = []
-    for recording in recordings:
-        label, number = recording.name, 2
-        while label in labels:
-            label, number = f"{recording.name}-{number}", number + 1
-        labels.append(label)
-    return labels

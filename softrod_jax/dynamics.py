@@ -1,17 +1,20 @@
 """Motion of a scene under inputs that change with time."""
 
 import functools
+from collections.abc import Sequence
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float, Int
+import numpy as np
+from jaxtyping import Array, Float, Int, Real
 
 from softrod_jax.bvp.collocation import Collocation
 from softrod_jax.bvp.grid_control import first_grid
 from softrod_jax.bvp.method import AbstractMethod
 from softrod_jax.bvp.newton import NewtonOptions
 from softrod_jax.foundation.compiling import compiled
+from softrod_jax.foundation.numbers import ManyLike, ScalarLike
 from softrod_jax.foundation.precision import require_float64
 from softrod_jax.foundation.results import RESULTS, raise_unless_successful, without_derivative
 from softrod_jax.foundation.tracing import is_traced
@@ -76,14 +79,14 @@ class Trajectory(eqx.Module):
 
 def simulate(
     scene: Scene,
-    dt,
-    tensions: Float[Array, "steps tendons"] | None = None,
-    pressures: Float[Array, "steps chambers"] | None = None,
+    dt: ScalarLike,
+    tensions: Real[Array | np.ndarray, "steps tendons"] | Sequence[ManyLike] | None = None,
+    pressures: Real[Array | np.ndarray, "steps chambers"] | Sequence[ManyLike] | None = None,
     *,
     steps: int | None = None,
     substeps: int | None = None,
     tolerance: float | None = None,
-    max_time_error: float = 1e-2,
+    max_time_error: ScalarLike = 1e-2,
     initial: StaticSolution | None = None,
     scheme: AbstractTimeScheme = SDIRK(),
     method: AbstractMethod | None = None,

@@ -1,8 +1,11 @@
 """Static equilibrium of a scene under constant actuation."""
 
+from collections.abc import Sequence
+
 import equinox as eqx
 import jax.numpy as jnp
-from jaxtyping import Array, Float, Int
+import numpy as np
+from jaxtyping import Array, Float, Int, Real
 
 from softrod_jax.bvp.boundary_value import (
     solve_boundary_value,
@@ -20,6 +23,7 @@ from softrod_jax.bvp.method import AbstractMethod
 from softrod_jax.bvp.newton import NewtonOptions
 from softrod_jax.bvp.unloaded import unloaded_guess
 from softrod_jax.foundation.compiling import compiled
+from softrod_jax.foundation.numbers import ScalarLike
 from softrod_jax.foundation.precision import require_float64
 from softrod_jax.foundation.results import RESULTS, raise_unless_successful, without_derivative
 from softrod_jax.foundation.tracing import is_traced
@@ -73,8 +77,8 @@ class StaticSolution(eqx.Module):
 
 def solve_static(
     scene: Scene,
-    tensions: Float[Array, "tendons"] | None = None,
-    pressures: Float[Array, "chambers"] | None = None,
+    tensions: Real[Array | np.ndarray, "tendons"] | Sequence[ScalarLike] | None = None,
+    pressures: Real[Array | np.ndarray, "chambers"] | Sequence[ScalarLike] | None = None,
     *,
     method: AbstractMethod | None = None,
     newton: NewtonOptions = NewtonOptions(),

@@ -9,7 +9,7 @@ import numpy as np
 
 import softrod_jax as sr
 from calibration import Recording
-from calibration.experiment.release import held
+from calibration.experiment.release import with_supporting_hand
 from softrod_jax.scene.scene import as_arrays
 
 SETTINGS = dict(scheme=sr.SDIRK(order=2), method=sr.Collocation(intervals=2, order=6))
@@ -41,7 +41,9 @@ def release(scene, seed=0, noise=NOISE, name="release", correlation=0.0, duratio
     [s]; noise that is white, or an AR(1) of this correlation from sample to sample."""
     tensions = None
     if duration is not None:
-        scene, tensions = held(scene, jnp.array(duration), jnp.array(1 / RATE), STEPS)
+        scene, tensions = with_supporting_hand(
+            scene, jnp.array(duration), jnp.array(1 / RATE), STEPS
+        )
     motion = sr.simulate(scene, 1 / RATE, tensions, steps=STEPS, **AS_FITTED)
     lead = round(RELEASE * RATE)
     tip = np.asarray(motion.tip_positions)

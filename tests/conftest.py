@@ -17,7 +17,11 @@ if "PYTEST_XDIST_WORKER" not in os.environ and _FLAG not in os.environ.get("XLA_
         os.environ["XLA_FLAGS"] = flags
 
 import jax  # noqa: E402
+import jaxtyping  # noqa: E402
 import pytest  # noqa: E402
+
+# Before the packages are imported: every call of their functions is held against its annotations.
+jaxtyping.install_import_hook(["softrod_jax", "calibration"], "checked.checked")
 
 jax.config.update("jax_enable_x64", True)
 if "JAX_COMPILATION_CACHE_DIR" not in os.environ:
@@ -34,3 +38,11 @@ def few_programs():
     if maps.exists() and maps.read_bytes().count(b"\n") > 30_000:
         jax.clear_caches()
         gc.collect()
+
+
+@pytest.fixture
+def wrong_types():
+    """Lets a test give what annotations do not allow, to see how it is refused without them."""
+    jaxtyping.config.update("jaxtyping_disable", True)
+    yield
+    jaxtyping.config.update("jaxtyping_disable", False)

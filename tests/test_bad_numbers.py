@@ -197,6 +197,7 @@ def test_refused_at_once_where_known(name):
         (dict(section=sr.GeneralSection(1e-4, [1e-9], 2e-9)), "second_moments .* list of 2"),
     ],
 )
+@pytest.mark.usefixtures("wrong_types")
 def test_refuses_what_is_no_such_array(change, words):
     scene = dataclasses.replace(sr.hybrid_robot(), **change)
     with pytest.raises(ValueError, match=words):
@@ -225,6 +226,7 @@ def test_takes_lists_for_arrays():
         (dict(tensions="many", steps=None), "tensions"),
     ],
 )
+@pytest.mark.usefixtures("wrong_types")
 def test_refuses_arguments_of_a_motion(arguments, words):
     arguments = {"dt": 0.01, "steps": 3, **arguments}
     with pytest.raises(ValueError, match=words):

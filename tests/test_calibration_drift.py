@@ -9,11 +9,11 @@ from beams import AS_FITTED, SETTINGS
 
 import softrod_jax as sr
 from calibration import Recording, calibrate
-from calibration.data.selection import Selection
 from calibration.experiment.drift import durations
 from calibration.parameters.unknowns import choose_unknowns
-from calibration.problem.motion import Motion, make_batch, tip_at
-from calibration.problem.problem import Problem
+from calibration.problem.dataset import datasets
+from calibration.problem.motion import Motion, tip_at
+from calibration.problem.problem import make_problem
 from calibration.report.writing import as_json
 from softrod_jax.scene.scene import as_arrays
 
@@ -131,12 +131,11 @@ def test_what_drifted_is_told(fits, channel, end, tolerance):
 def test_derivatives_by_drifts():
     """Forward, reverse and finite differences agree."""
     recording, scene = log("tip").window(0.0, 0.6), robot(young_modulus=2.6e5)
-    setup, unknowns = choose_unknowns(scene, [recording], ["log"], tuple(TRUTH), (), {})
+    setup, parameters = choose_unknowns(scene, [recording], ["log"], tuple(TRUTH))
     drift = {name: 0.3 for name in DRIFT}
-    selection = Selection(0.0, 0.6, "all")
-    batch, clocks = make_batch(scene, [recording], [selection], True, INTERVAL, {}, drift)
-    forward = Problem(setup, batch, clocks, unknowns, True, *SETTINGS.values())
-    x = forward.start() + 0.1
+    data, _ = datasets(scene, recording, window=(0.0, 0.6), drift=drift)
+    forward = make_problem(setup, parameters, data, True, INTERVAL, **SETTINGS)
+    x = forward.space.origin() + 0.1
     assert len(x) == 3 + 2 * 5
     point = forward.at(x)
     for i in range(len(x)):

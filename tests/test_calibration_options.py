@@ -208,6 +208,7 @@ def test_bad_conditions(recording, conditions, words):
         ({"resume": True}, "resume"),
     ],
 )
+@pytest.mark.usefixtures("wrong_types")
 def test_bad_options(recording, options, words):
     with pytest.raises(ValueError, match=words):
         fit([recording], **options)

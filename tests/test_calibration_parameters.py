@@ -9,14 +9,13 @@ from beams import SETTINGS
 
 import softrod_jax as sr
 from calibration import Recording
-from calibration.data.selection import Selection
 from calibration.experiment.setup import Setup, rotated
 from calibration.parameters.catalogue import catalogue, choose, prepared, with_values
 from calibration.parameters.scales import Between, Factor, Shift
 from calibration.parameters.unknowns import choose_unknowns
+from calibration.problem.dataset import datasets
 from calibration.problem.evaluation import predict, reverse_pays
-from calibration.problem.motion import make_batch
-from calibration.problem.problem import Problem
+from calibration.problem.problem import make_problem
 from softrod_jax.scene.scene import as_arrays
 
 CLAMP = np.array([0.9, 0.1, 0.3, -0.2]) / np.linalg.norm([0.9, 0.1, 0.3, -0.2])
@@ -104,10 +103,9 @@ def problem(scene, names, inputs):
         2e4 * ramp if inputs else None,
         tip,
     )
-    setup, unknowns = choose_unknowns(scene, [recording], ["a"], names, (), {})
-    selection = Selection(0.0, 0.1, "all")
-    batch, clocks = make_batch(scene, [recording], [selection], False, None, {})
-    return Problem(setup, batch, clocks, unknowns, False, SETTINGS["scheme"], SETTINGS["method"])
+    setup, parameters = choose_unknowns(scene, [recording], ["a"], names)
+    data, _ = datasets(scene, recording, window=(0.0, 0.1))
+    return make_problem(setup, parameters, data, time_offset=False, dt=None, **SETTINGS)
 
 
 @pytest.mark.parametrize("inputs", [pytest.param(True, marks=pytest.mark.long), False])
@@ -122,7 +120,7 @@ def test_sensitivities_are_finite_differences(inputs):
     if not inputs:
         names = ("release_duration", "payload_mass")
     fit = problem(scene, names, inputs)
-    x = fit.start() + 0.01
+    x = fit.space.origin() + 0.01
     point = fit.at(x)
     assert point.ok
     J = point.jacobian
@@ -133,8 +131,8 @@ def test_sensitivities_are_finite_differences(inputs):
                 predict(
                     fit.setup,
                     fit.batch,
-                    jnp.asarray(fit.unknowns.theta(x + sign * step)),
-                    fit.courses(fit.start()),
+                    jnp.asarray(fit.space.parameters.theta(x + sign * step)),
+                    fit.space.nuisance(fit.space.origin()),
                     names,
                     fit.scheme,
                     fit.method,

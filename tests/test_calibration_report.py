@@ -102,11 +102,12 @@ def test_places_stay_in_the_section(recording, name):
     tendons = sr.Tendons(jnp.array([[4e-3, 0.0], [-2e-3, 3e-3]]))
     scene = replace(beam(), section=sr.Circle(jnp.array(6e-3)), tendons=tendons)
     log = replace(recording, tensions=np.zeros((len(recording.times), 2)))
-    setup, unknowns = choose_unknowns(scene, [log], ["log"], (name,), (), {})
+    setup, unknowns = choose_unknowns(scene, [log], ["log"], (name,))
     (item,) = unknowns.items
     for end in (item.low, item.high):
         moved = item.parameter.put(setup, item.value(end)).scene
-        assert bool(jnp.all(moved.section.contains(moved.tendons.offsets)))
+        # A tendon in the surface is inside, up to rounding.
+        assert bool(jnp.all(moved.section.contains((1 - 1e-8) * moved.tendons.offsets)))
     beyond = item.parameter.put(setup, item.value(item.high + 0.05)).scene
     assert not bool(jnp.all(beyond.section.contains(beyond.tendons.offsets)))
 

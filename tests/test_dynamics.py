@@ -251,6 +251,7 @@ def test_batch_equals_loop_and_a_bad_sample_spoils_nothing():
         (dict(dt=0.01, pressures=np.full((4, 1), np.inf)), "finite"),
     ],
 )
+@pytest.mark.usefixtures("wrong_types")
 def test_bad_arguments(arguments, words):
     with pytest.raises(ValueError, match=words):
         sr.simulate(sr.hybrid_robot(), **arguments)

@@ -8,28 +8,22 @@ import pytest
 
 import softrod_jax as sr
 from calibration import Recording, calibrate
-from calibration.data.selection import select
-from calibration.inference.resolution import TOLERANCE, Resolution, first_choice, first_steps
 from calibration.parameters.unknowns import choose_unknowns
-from calibration.problem.motion import METHOD, SCHEME, make_batch
-from calibration.problem.problem import Problem
+from calibration.problem.dataset import datasets
+from calibration.problem.motion import METHOD
+from calibration.problem.resolution import Resolution, choose_resolution
 from calibration.report.writing import as_json
 
 NAMES = ("young_modulus", "bending_damping")
 
 
-def chosen(scene, recording, steps_fixed=False, grid_fixed=False):
+def chosen(scene, recording, dt=None, method=None):
     """The steps [s] and the intervals that a fit of `scene` to `recording` begins with."""
-    setup, unknowns = choose_unknowns(scene, [recording], [recording.name], NAMES, (), {})
-    selections = [select(recording, None)]
-    steps = first_steps([recording], selections)
-    batch, clocks = make_batch(scene, [recording], selections, False, steps, {})
-    problem = Problem(setup, batch, clocks, unknowns, False, SCHEME, METHOD)
-    resolution = Resolution(
-        [recording], selections, {}, {}, TOLERANCE, steps_fixed=steps_fixed, grid_fixed=grid_fixed
-    )
-    problem = first_choice(problem, resolution)
-    return problem.clocks[0].dt, problem.method.intervals
+    setup, parameters = choose_unknowns(scene, [recording], [recording.name], NAMES)
+    resolution = Resolution(datasets(scene, recording)[0], dt, method)
+    first = resolution.first_problem(setup, parameters, time_offset=False)
+    problem = choose_resolution(first, resolution)
+    return problem.space.clocks[0].dt, problem.method.intervals
 
 
 def rod(length, **parts):
@@ -88,7 +82,7 @@ def test_a_slow_log_needs_few_steps_and_a_quick_one_more():
     rings = replace(rings, tensions=np.full((20, 1), 0.1))
     assert chosen(scene, rings)[0] < 0.02
     # What a user chooses stays.
-    assert chosen(scene, rings, True, True) == (pytest.approx(0.05), METHOD.intervals)
+    assert chosen(scene, rings, 0.05, METHOD) == (pytest.approx(0.05), METHOD.intervals)
 
 
 @pytest.mark.long

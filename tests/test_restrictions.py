@@ -315,6 +315,7 @@ def test_rounding_errors_are_not_off_the_plane():
     sr.scene.checks.checked_scene("here", scene)
 
 
+@pytest.mark.usefixtures("wrong_types")
 def test_keys_without_meaning_are_refused():
     for name in ("shear_damping", "shear_correction"):
         scene = with_(inextensible(scene_in("xz")), **{name: 0.9})

@@ -625,7 +625,10 @@ PYTHON = {
     r"segments\[0\].section.radius = -1.0": dict(
         section=None, segments=[sr.Segment(0.1, sr.Circle(-1.0))]
     ),
-    r"segments\[0\].length = '1'": dict(section=None, segments=[sr.Segment("1", sr.Circle(1.0))]),
+    r"segments\[0\].length = '1'": dict(
+        section=None,
+        segments=[eqx.tree_at(lambda x: x.length, sr.Segment(1.0, sr.Circle(1.0)), "1")],
+    ),
     r"loads\[0\].at = 0.2": dict(loads=[sr.Load(0.2, force=[0.0, 0.0, 1.0])]),
     r"markers\[0\].name = tip": dict(markers=[sr.Marker("tip", 0.05)]),
     r"tendons\[0\].ends_at = 0.2": dict(tendons=sr.Tendons([[0.0, 0.0]], ends_at=[0.2])),
@@ -641,6 +644,7 @@ PYTHON = {
 
 
 @pytest.mark.parametrize("words", PYTHON)
+@pytest.mark.usefixtures("wrong_types")
 def test_refuses_in_python(words):
     """Also where something else is traced, and nothing is computed for it."""
     scene = dataclasses.replace(sr.hybrid_robot(), **PYTHON[words])
@@ -661,6 +665,7 @@ def test_refuses_in_python(words):
         (lambda: sr.Segment(0.1, sr.Circle(1.0), intervals=0), "intervals=0"),
     ],
 )
+@pytest.mark.usefixtures("wrong_types")
 def test_refuses_when_it_is_made(make, words):
     with pytest.raises(ValueError, match=words):
         make()

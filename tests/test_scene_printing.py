@@ -2,6 +2,7 @@
 
 import jax
 import jax.numpy as jnp
+import pytest
 from test_scene_file import write
 from test_scene_language import WIDER
 
@@ -89,6 +90,7 @@ def test_many_are_counted():
     assert "  30 markers" in text and "    ... and 23 more" in text and "m8" not in text
 
 
+@pytest.mark.usefixtures("wrong_types")
 def test_what_is_no_scene_can_be_printed_too():
     strange = sr.Scene("long", None, [1.0, [2.0]], None, object(), tendons=sr.Tendons([0.0]))
     assert "length = 'long'" in str(strange)

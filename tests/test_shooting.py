@@ -238,6 +238,7 @@ def test_gradients_beside_a_failure():
         (dict(solver="Tsit5"), "diffrax.AbstractSolver"),
     ],
 )
+@pytest.mark.usefixtures("wrong_types")
 def test_bad_arguments(arguments, words):
     with pytest.raises(ValueError, match=words):
         Shooting(**arguments)

@@ -142,6 +142,7 @@ def test_errors_are_raised_under_jit_too():
         (None, 1.0, "shape"),
     ],
 )
+@pytest.mark.usefixtures("wrong_types")
 def test_bad_inputs(tensions, pressures, words):
     with pytest.raises(ValueError, match=words):
         sr.solve_static(sr.hybrid_robot(), tensions, pressures)

@@ -161,6 +161,7 @@ def test_damage_is_named(tmp_path):
         (jnp.float64(1.0), dict(chunk=1), "one row a sample"),
     ],
 )
+@pytest.mark.usefixtures("wrong_types")
 def test_bad_arguments(tmp_path, samples, options, words):
     with pytest.raises(ValueError, match=words):
         sr.sweep(wave, samples, directory=tmp_path, **options)

@@ -49,17 +49,18 @@ def recording() -> Recording:
 def main() -> None:
     jax.config.update("jax_enable_x64", True)
     data, start = recording(), beam(2e5, 1e-4, 3.0)
+    fits = []
     for k in range(4):
         begun, used = time.perf_counter(), time.process_time()
-        fit = calibrate(start, [data], checks=False, progress=False)
+        fits.append(calibrate(start, [data], checks=False, progress=False))
         seconds, used = time.perf_counter() - begun, time.process_time() - used
-        stages = [h["stage"] for h in fit.history]
+        stages = [h["stage"] for h in fits[-1].history]
         print(
             f"{'with' if k == 0 else 'without'} compiling: {seconds:.2f} s, {used:.2f} s of "
             f"processor time; {len(stages)} "
             f"evaluations, of which {stages.count('intervals')} for intervals"
         )
-    for name, e in fit.parameters.items():
+    for name, e in fits[-1].parameters.items():
         ends = " .. ".join("open" if end is None else f"{end:.4g}" for end in e.ci95)
         print(f"{name} {e.value:.4g} {e.unit} ({ends}), {e.verdict}")
 

@@ -25,6 +25,14 @@ def _count(text: str) -> int:
 
 
 def add_arguments(parser) -> None:
+    _add_what(parser)
+    _add_search(parser.add_argument_group("search and checks"))
+    _add_data(parser.add_argument_group("data"))
+    _add_c3d(parser.add_argument_group("C3D files without a mapping"))
+
+
+def _add_what(parser) -> None:
+    """What is fitted to what, and where the results go."""
     parser.add_argument("scene", nargs="?", metavar="SCENE.toml", help="the scene file")
     parser.add_argument("logs", nargs="*", metavar="LOG", help="recordings")
     parser.add_argument(
@@ -62,7 +70,10 @@ def add_arguments(parser) -> None:
     parser.add_argument(
         "--resume", action="store_true", help="go on with an interrupted fit in DIR"
     )
-    search = parser.add_argument_group("search and checks")
+
+
+def _add_search(search) -> None:
+    """How it is searched, and how finely it is simulated."""
     search.add_argument(
         "--optimiser",
         help="levenberg_marquardt, or adam (gradient descent), which is usual for many parameters",
@@ -106,7 +117,10 @@ def add_arguments(parser) -> None:
         help="how far the simulated tip may be off by the time step, in lengths of the rod, and by "
         "the intervals, a tenth of that (1e-3)",
     )
-    data = parser.add_argument_group("data")
+
+
+def _add_data(data) -> None:
+    """How the recordings are read, and what of them is used."""
     data.add_argument("--mapping", metavar="FILE.toml", help="which columns of the logs are what")
     data.add_argument(
         "--condition",
@@ -139,7 +153,10 @@ def add_arguments(parser) -> None:
         help="what may drift in long logs with inputs, of clock, tip and inputs, and the duration "
         "of the windows [s] in each of which it changes linearly, such as tip=2 inputs=5",
     )
-    c3d = parser.add_argument_group("C3D files without a mapping")
+
+
+def _add_c3d(c3d) -> None:
+    """How the markers of a motion capture are told apart."""
     c3d.add_argument(
         "--tip-markers", metavar="LABEL,..", help="how the tip markers' labels begin (tip)"
     )

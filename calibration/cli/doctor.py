@@ -28,8 +28,9 @@ def run(args) -> int:
         "python": platform.python_version(),
         **{name: _version(name) for name in _PACKAGES},
         "devices": [str(device) for device in jax.devices()],
-        "float64": bool(jax.config.jax_enable_x64),
-        "cache": jax.config.jax_compilation_cache_dir or f"none: cannot write {cache_directory()}",
+        "float64": jax.config.values["jax_enable_x64"],
+        "cache": jax.config.values["jax_compilation_cache_dir"]
+        or f"none: cannot write {cache_directory()}",
         "solve": message,
         "solve_error_m": error,
         "healthy": healthy,
@@ -65,9 +66,10 @@ def _solve_error():
     message = sr.result_message(sol.result)
     if int(sol.result) != 0:
         return None, message
-    E, L = float(scene.young_modulus), float(scene.length)
-    offset = float(scene.tendons.offsets[0, 0])
-    u = _TENSION * offset / (E * float(scene.section.second_moments[1]))
-    v3 = 1 - _TENSION / (E * float(scene.section.area))
+    tendons, section, E = scene.tendons, scene.section, scene.young_modulus
+    assert tendons is not None and section is not None and E is not None, "it has all of them"
+    E, L, offset = float(E), float(scene.length), float(tendons.offsets[0, 0])
+    u = _TENSION * offset / (E * float(section.second_moments[1]))
+    v3 = 1 - _TENSION / (E * float(section.area))
     tip = v3 / u * np.array([1 - math.cos(u * L), 0.0, math.sin(u * L)])
     return float(np.linalg.norm(np.asarray(sol.tip_position) - tip)), message

@@ -71,7 +71,7 @@ def _parser() -> argparse.ArgumentParser:
     for name, command in COMMANDS.items():
         sub = commands.add_parser(
             name,
-            help=command.__doc__.split("\n", 1)[0],
+            help=(command.__doc__ or "").split("\n", 1)[0],
             description=command.__doc__,
             formatter_class=argparse.RawDescriptionHelpFormatter,
         )

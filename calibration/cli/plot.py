@@ -66,11 +66,7 @@ def add_arguments(parser) -> None:
 
 def run(args) -> int:
     scene_path, log_path = _files(args.files)
-    out = (
-        args.out
-        if args.out is not None
-        else f"{Path(scene_path if log_path is None else log_path).stem}.png"
-    )
+    out = args.out if args.out is not None else f"{Path(log_path or scene_path or '').stem}.png"
     kind = Path(out).suffix.lower()
     _check_options(args, scene_path, log_path, out, kind)
     check_writable(out)
@@ -79,6 +75,7 @@ def run(args) -> int:
     except ImportError as e:
         raise UsageError(f"{e}: pip install 'softrod_jax[plots]'") from None
     if scene_path is None:
+        assert log_path is not None, "one file at least"
         from calibration.data.loading import load_recording
         from calibration.report.log_plot import log_figure
 

@@ -81,7 +81,7 @@ def _solver_options(args) -> dict:
     return options
 
 
-class Motion(NamedTuple):
+class Simulated(NamedTuple):
     """Inputs as of `_inputs`, and the `Trajectory`: None without an equilibrium to start from.
 
     `reason`: "successful", or why not.
@@ -94,7 +94,7 @@ class Motion(NamedTuple):
     reason: str
 
 
-def simulated(args, scene) -> Motion:
+def simulated(args, scene) -> Simulated:
     """The motion that the options of this command ask for."""
     import softrod_jax as sr
 
@@ -106,7 +106,7 @@ def simulated(args, scene) -> Motion:
         initial = sr.solve_static(scene, *first, throw=False, **grid(args))
         if int(initial.result) != 0:
             why = f"--from-static: {reason(initial.result)}"
-            return Motion(steps, tensions, pressures, None, why)
+            return Simulated(steps, tensions, pressures, None, why)
         if not bool(initial.stats["stable"]):
             note(f"--from-static: {UNSTABLE}")
         # The motion goes on where the equilibrium was found.
@@ -120,7 +120,7 @@ def simulated(args, scene) -> Motion:
         throw=False,
         **options,
     )
-    return Motion(steps, tensions, pressures, trajectory, reason(trajectory.result, moving=True))
+    return Simulated(steps, tensions, pressures, trajectory, reason(trajectory.result, moving=True))
 
 
 def run(args) -> int:
@@ -139,7 +139,7 @@ def run(args) -> int:
     succeeded = int(traj.result) == 0
     failed_step = None if succeeded else int(traj.failed_step)
     tips = np.array(traj.tip_positions)
-    if not succeeded:
+    if failed_step is not None:
         tips[failed_step + 1 :] = np.nan  # the last iterates of a failed step are no motion
     if args.out is not None:
         names = [marker.name for marker in scene.markers or ()]
@@ -225,7 +225,7 @@ def _check_memory(args, duration: float, steps: float) -> None:
 
 
 def _memory() -> float:
-    """Of this machine, in bytes; infinite where it does not say."""
+    """The memory of this machine, in bytes; infinite where it does not say."""
     try:
         return os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
     except (AttributeError, OSError, ValueError):  # not a POSIX system

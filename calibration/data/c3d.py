@@ -46,67 +46,81 @@ def read_c3d(
         raise RecordingError(f"{path}: a C3D does not say where the clamp is: give the scene")
     rotation = axes_matrix(axes, f"{path}: ")
     file = read_points(path)
-    labels = file.labels
-    tip_columns, notes = _find(path, file, tip_markers, "tip_markers")
-    if not tip_columns:
-        others = f" (not positions: {', '.join(file.kinds)})" if file.kinds else ""
-        raise RecordingError(
-            f"{path}: no marker's label begins with {tip_markers!r} (tip_markers); the file has "
-            f"{', '.join(x for x in labels if x not in file.kinds)}{others}"
-        )
+    tips, bases, notes = _chosen(path, file, tip_markers, base_markers)
     if file.rate is None:
         raise RecordingError(f"{path}: POINT:RATE is missing, expected a number above 0 [Hz]")
-    base_columns = []
-    if base_markers is not None:
-        base_columns, others = _find(path, file, base_markers, "base_markers")
-        notes += others
-        # Always at the origin: it was never seen, or marks it. Either way it does not move.
-        base_columns = [j for j in base_columns if np.any(file.positions[:, j])]
     points = length_unit(path, file.unit) * file.positions @ rotation.T
-    for columns in (tip_columns, base_columns):
-        check_one_body(path, points[:, columns], [labels[j] for j in columns], scene)
-    tip = np.mean(points[:, tip_columns], axis=1)
-    clamp = np.mean(points[:, base_columns], axis=1) if base_columns else np.zeros_like(tip)
-    known = np.all(np.isfinite(tip + clamp), axis=1)
-    if not np.any(known):
-        raise RecordingError(
-            f"{path}: no frame has all the markers "
-            f"{', '.join(labels[j] for j in tip_columns + base_columns)}; choose markers that "
-            "were seen with tip_markers and base_markers"
-        )
-    # The tip alone tells the rest: base markers move least and their noise would hide it.
-    rest = rest_samples(tip[known], path)
-    clamp_moved = clamp - np.median(clamp[known][:rest], axis=0)
-    tip = tip - np.median(tip[known][:rest], axis=0) - clamp_moved
-    notes += [
-        f"tip = mean of the markers {', '.join(labels[j] for j in tip_columns)}",
-        f"origin: the median of the tip over {rest} samples at rest is the scene's straight tip",
-        *file.notes,
-    ]
-    if base_columns:
-        largest = 1e3 * np.nanmax(np.linalg.norm(clamp_moved, axis=1))
-        notes.append(
-            f"movement of the clamp, up to {largest:.2g} mm, subtracted (mean of the markers "
-            f"{', '.join(labels[j] for j in base_columns)})"
-        )
+    for markers in (tips, bases):
+        check_one_body(path, points[:, markers], [file.labels[j] for j in markers], scene)
+    displacement, placed = _from_rest(path, points, tips, bases, file.labels)
     recording = Recording(
-        times=np.arange(len(tip)) / file.rate,
+        times=np.arange(len(points)) / file.rate,
         tensions=None,
         pressures=None,
-        tip_positions=tip + straight_tip(scene),
+        tip_positions=displacement + straight_tip(scene),
         name=Path(path).stem,
         source=str(path),
         origin_known=False,
-        notes=tuple(notes),
+        notes=(*notes, *placed, *file.notes),
     )
     source = Source(
-        [f"frame {k + 1}" for k in range(len(tip))],
-        f"markers {', '.join(labels[j] for j in tip_columns)}",
+        [f"frame {k + 1}" for k in range(len(points))],
+        f"markers {_named(file.labels, tips)}",
         unit="POINT:UNITS",
         origin=None,
     )
     check_reach(recording, scene, source)
     return recording
+
+
+def _chosen(
+    path, file: Points, tip_markers: str, base_markers: str | None
+) -> tuple[list[int], list[int], list[str]]:
+    """The markers of the tip and of the clamp, and notes. Raises `RecordingError` without a tip."""
+    tips, notes = _find(path, file, tip_markers, "tip_markers")
+    if not tips:
+        others = f" (not positions: {', '.join(file.kinds)})" if file.kinds else ""
+        raise RecordingError(
+            f"{path}: no marker's label begins with {tip_markers!r} (tip_markers); the file has "
+            f"{', '.join(x for x in file.labels if x not in file.kinds)}{others}"
+        )
+    bases: list[int] = []
+    if base_markers is not None:
+        bases, others = _find(path, file, base_markers, "base_markers")
+        notes += others
+        # Always at the origin: it was never seen, or marks it. Either way it does not move.
+        bases = [j for j in bases if np.any(file.positions[:, j])]
+    return tips, bases, notes
+
+
+def _from_rest(path, points: np.ndarray, tips: list[int], bases: list[int], labels):
+    """The tip's displacement from its rest, seen from the clamp, (frames, 3) [m], and notes."""
+    tip = np.mean(points[:, tips], axis=1)
+    clamp = np.mean(points[:, bases], axis=1) if bases else np.zeros_like(tip)
+    seen = np.all(np.isfinite(tip + clamp), axis=1)
+    if not np.any(seen):
+        raise RecordingError(
+            f"{path}: no frame has all the markers {_named(labels, tips + bases)}; choose markers "
+            "that were seen with tip_markers and base_markers"
+        )
+    # The tip alone tells the rest: base markers move least and their noise would hide it.
+    rest = rest_samples(tip[seen], path)
+    clamp_moved = clamp - np.median(clamp[seen][:rest], axis=0)
+    notes = [
+        f"tip = mean of the markers {_named(labels, tips)}",
+        f"origin: the median of the tip over {rest} samples at rest is the scene's straight tip",
+    ]
+    if bases:
+        largest = 1e3 * np.nanmax(np.linalg.norm(clamp_moved, axis=1))
+        notes.append(
+            f"movement of the clamp, up to {largest:.2g} mm, subtracted (mean of the markers "
+            f"{_named(labels, bases)})"
+        )
+    return tip - np.median(tip[seen][:rest], axis=0) - clamp_moved, notes
+
+
+def _named(labels, markers: list[int]) -> str:
+    return ", ".join(labels[j] for j in markers)
 
 
 def _find(path, file: Points, beginnings: str, option: str) -> tuple[list[int], list[str]]:

@@ -73,7 +73,9 @@ def gaps_of(recording) -> list[tuple[float, float]]:
     known = recording.times[recording.has_tip]
     interval = float(np.median(np.diff(known))) if len(known) > 1 else 0.0
     for inputs in (recording.tensions, recording.pressures):
-        for column in () if inputs is None else inputs.T:
+        if inputs is None:
+            continue
+        for column in inputs.T:
             whole = float(np.ptp(inputs))
             gaps += find_gaps(recording.times, column, "", whole, interval).open
     return sorted(set(gaps))

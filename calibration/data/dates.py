@@ -43,9 +43,10 @@ def moment(text: str, form: str | None) -> np.datetime64 | float:
         hours, minutes, seconds = found.groups()
         return 3600 * int(hours or 0) + 60 * int(minutes) + float(seconds.replace(",", "."))
     found = _DURATION.fullmatch(text)
-    size = None if found is None else units.factor("time", found.group(2))
-    if size is not None and found.group(1).count(".") < 2:
-        return size * float(found.group(1))
+    if found is not None:
+        size = units.factor("time", found.group(2))
+        if size is not None and found.group(1).count(".") < 2:
+            return size * float(found.group(1))
     found = _GERMAN.fullmatch(text)
     if found:
         day, month, year, clock = found.groups()

@@ -64,9 +64,13 @@ def _gaps(recording: Recording) -> list[str]:
         ("tau", "N", recording.tensions),
         ("p", "Pa", recording.pressures),
     ):
-        for j, column in enumerate(() if inputs is None else inputs.T):
+        if inputs is None:
+            continue
+        for j, column in enumerate(inputs.T):
             label = f"{name}{j + 1}_{unit}"
-            notes += find_gaps(recording.times, column, label, np.ptp(inputs), interval).notes
+            notes += find_gaps(
+                recording.times, column, label, float(np.ptp(inputs)), interval
+            ).notes
     return notes
 
 
@@ -76,6 +80,7 @@ def _table(path, scene, need_tip):
     lines, encoding = read_lines(path)
     reader = csv.reader(lines, strict=True)
     header, values, numbers = None, array("d"), []
+    known, tendons, chambers = 0, 0, 0
     missing = NumberFormat()
     try:
         for row in reader:

@@ -16,6 +16,7 @@ def factor(table: Table, part: Spec, kind: str, names: list[str], scaled: bool =
     `scaled`: the mapping says how much the unit of a sensor stands for.
     """
     own, overrule = part.unit(kind), part.flag("ignore_file_unit")
+    asked = None if own is None else units.factor(kind, own)
     usual = {"time": "s", "length": "m", "force": "N", "pressure": "Pa"}[kind]
     factors = set()
     for name in [] if overrule else names:
@@ -31,7 +32,7 @@ def factor(table: Table, part: Spec, kind: str, names: list[str], scaled: bool =
                     f"set {part.where}unit, scale or ignore_file_unit = true"
                 )
             continue
-        if own is not None and not np.isclose(size, units.factor(kind, own), rtol=1e-6):
+        if asked is not None and not np.isclose(size, asked, rtol=1e-6):
             raise RecordingError(
                 f"{table.path}: column {name}: the file says {said!r}, and {part.where}unit = "
                 f"{own!r}: leave it out, or set {part.where}ignore_file_unit = true if the file "
@@ -40,12 +41,12 @@ def factor(table: Table, part: Spec, kind: str, names: list[str], scaled: bool =
         factors.add(size)
     if len(factors) > 1:
         raise RecordingError(f"{table.path}: columns {', '.join(names)}: have different units")
-    if own is not None:
-        return units.factor(kind, own)
+    if asked is not None:
+        return asked
     return factors.pop() if factors else units.UNITS[kind][usual]
 
 
-class Clock:
+class TimeColumn:
     """When samples were taken: a column, a rate, or what the file knows. `key`: in the mapping."""
 
     def __init__(self, table: Table, spec: Spec):
@@ -82,6 +83,7 @@ class Clock:
     def of(self, count: int, column: str) -> np.ndarray:
         """The times of `count` samples, NaN or NaT where the clock has none."""
         if self.times is None:
+            assert self.interval is not None, "a clock has times, or an interval"
             return self.interval * np.arange(count)
         if len(self.times) != count:
             raise RecordingError(
@@ -97,7 +99,7 @@ class Clock:
         steps = np.diff(times[there]).astype(float)
         for k in np.flatnonzero(steps <= 0)[:1]:
             what = "repeats the time of" if steps[k] == 0 else "is earlier than"
-            row = lambda j: self.table.row(there[j], len(times))
+            row = lambda j: self.table.row(int(there[j]), len(times))
             midnight = steps[k] < -80000 and times.dtype.kind != "M" and times[there[k]] < 90000
             remedy = (
                 "is it the midnight of a time of day? give a column with the date"

@@ -52,7 +52,7 @@ from calibration.data.cells import NumberFormat
 from calibration.data.clocks import check_overlap, find_gaps
 from calibration.data.frames import axes_matrix, check_one_body, from_base_markers, from_rest
 from calibration.data.loads import without_noise_below_zero
-from calibration.data.mapped_columns import Clock, check_interval, factor, one_zero
+from calibration.data.mapped_columns import TimeColumn, check_interval, factor, one_zero
 from calibration.data.mapping_file import Spec, read_toml
 from calibration.data.plausible import Source, check_reach
 from calibration.data.recording import Recording, RecordingError
@@ -73,7 +73,7 @@ def read_mapped(path: str | PathLike, mapping: str | PathLike, scene) -> Recordi
     """
     spec = read_toml(mapping)
     table = read_table(path, _text_options(spec.table("csv", required=False)))
-    clock = Clock(table, spec.table("time", required=table.interval is None))
+    clock = TimeColumn(table, spec.table("time", required=table.interval is None))
     tip, clock_of_tip, notes, known, source = _tip(table, spec, clock, scene)
     inputs = {
         name: [_input(table, part, kind, clock) for part in spec.tables(name)]
@@ -134,10 +134,10 @@ def _text_options(spec: Spec) -> TextOptions:
     return options
 
 
-def _tip(table: Table, spec: Spec, clock: Clock, scene):
+def _tip(table: Table, spec: Spec, clock: TimeColumn, scene):
     part = spec.table("tip")
     own = part.table("time", required=False)
-    clock = Clock(table, own) if own.content else clock
+    clock = TimeColumn(table, own) if own.content else clock
     columns = part.texts("columns", 3, required=False)
     markers = part.get("markers", list, "a list of lists of 3 column names", None, False)
     if (columns is None) == (markers is None):
@@ -147,7 +147,7 @@ def _tip(table: Table, spec: Spec, clock: Clock, scene):
     origin, rest = part.vector("origin", required=False), part.flag("rest")
     if origin is not None and rest:
         raise RecordingError(f"{part.where}origin and {part.where}rest: one of them is too much")
-    triples = markers or [columns]
+    triples = [columns] if columns is not None else markers or [[]]
     for names in triples:
         if not (isinstance(names, list) and len(names) == 3 and all(
             isinstance(name, str) for name in names
@@ -159,30 +159,21 @@ def _tip(table: Table, spec: Spec, clock: Clock, scene):
     place = lambda names: _place(table, names, missing, unit, turn)
     placed = [place(names) for names in found]
     count = len(placed[0])
-    clock = clock.of(count, next(name for name in found[0] if name))
+    at = clock.of(count, next(name for name in found[0] if name))
     labels = [table.row(k, count) for k in range(count)]
     if any(len(p) != count for p in placed):
         raise RecordingError(
             f"{part.where}markers: their columns have different numbers of samples"
         )
     check_one_body(table.path, np.stack(placed, axis=1), [names[0] for names in found], scene)
-    seen, meant = [], []
-    for marker in spec.tables("base_markers"):
-        names = [table.find(name, "base") for name in marker.texts("columns", 3)]
-        seen.append(place(names))
-        meant.append(marker.vector("position"))
-        marker.done()
-        if len(seen[-1]) != count:
-            raise RecordingError(
-                f"{marker.where}columns: {len(seen[-1])} samples, the tip has {count}"
-            )
+    seen, meant = _base_markers(table, spec, place, count)
     notes = []
     always = origin is None and not rest and not seen and base_is_zero(scene)
     for several in (placed, seen):
         for k, p in enumerate(several):
             several[k], note = at_zero(p, always=always)
             notes += note
-    there = ~np.isnan(clock)
+    there = ~np.isnan(at)
     tip, seen = np.mean(placed, axis=0)[there], [s[there] for s in seen]
     if seen:
         tip, note = from_base_markers(tip, seen, meant, spec.where)
@@ -200,7 +191,22 @@ def _tip(table: Table, spec: Spec, clock: Clock, scene):
         origin=None if rest or seen else "[tip] rest = true, or the clamp as [tip] origin",
         now=now,
     )
-    return tip, clock[there], notes, not rest, source
+    return tip, at[there], notes, not rest, source
+
+
+def _base_markers(table: Table, spec: Spec, place, count: int):
+    """Where markers on the clamp were seen, (T, 3) [m] each, and where they are meant to be."""
+    seen, meant = [], []
+    for marker in spec.tables("base_markers"):
+        names = [table.find(name, "base") for name in marker.texts("columns", 3)]
+        seen.append(place(names))
+        meant.append(marker.vector("position"))
+        marker.done()
+        if len(seen[-1]) != count:
+            raise RecordingError(
+                f"{marker.where}columns: {len(seen[-1])} samples, the tip has {count}"
+            )
+    return seen, meant
 
 
 def _place(table: Table, names, missing, unit, turn) -> np.ndarray:
@@ -223,10 +229,10 @@ def _picked(turn):
     return [(int(np.argmax(np.abs(row))), float(np.sum(row))) for row in turn]
 
 
-def _input(table: Table, part: Spec, kind: str, clock: Clock):
+def _input(table: Table, part: Spec, kind: str, clock: TimeColumn):
     """Name, times and values [SI] of one actuator, without missing samples; labels, time's key."""
     own = part.table("time", required=False)
-    clock = Clock(table, own) if own.content else clock
+    clock = TimeColumn(table, own) if own.content else clock
     name = table.find(part.text("column"))
     values = table.numbers(name, f"inputs are needed in every row: {_FILL}")
     times = clock.of(len(values), name)
@@ -242,7 +248,7 @@ def _input(table: Table, part: Spec, kind: str, clock: Clock):
         )
     if not np.any(there):
         raise RecordingError(f"{table.path}: column {name}: no sample has a time")
-    labels = [table.row(k, len(values)) for k in np.flatnonzero(there)]
+    labels = [table.row(int(k), len(values)) for k in np.flatnonzero(there)]
     return name, times[there], values[there], labels, f"{part.where}time."
 
 

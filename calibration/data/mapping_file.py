@@ -4,6 +4,7 @@ for."""
 import reprlib
 import tomllib
 from os import PathLike
+from typing import Any
 
 import numpy as np
 
@@ -43,15 +44,17 @@ class Spec:
                 raise RecordingError(f"{self.where}{key}: expected tables [[{key}]]")
         return [Spec(part, f"{self.where}{key}[{i}].") for i, part in enumerate(content)]
 
-    def text(self, key, *default):
-        return self.get(key, str, "a text", *(default or (None,)), not default)
+    def text(self, key, *default) -> Any:
+        (usual,) = default or (None,)
+        return self.get(key, str, "a text", usual, not default)
 
     def flag(self, key, default=False) -> bool:
         return self.get(key, bool, "true or false", default, False)
 
     def number(self, key, *default):
         what = "a finite number"
-        value = self.get(key, int | float, what, *(default or (None,)), not default)
+        (usual,) = default or (None,)
+        value = self.get(key, int | float, what, usual, not default)
         return None if value is None else self._finite(key, value, what)
 
     def whole(self, key, default):
@@ -61,7 +64,7 @@ class Spec:
             raise self.wrong(key, value, "a whole number from 0")
         return None if value is None else int(value)
 
-    def texts(self, key, count, required=True):
+    def texts(self, key, count, required=True) -> Any:
         return self._list(key, str, f"a list of {count} column names", count, required)
 
     def vector(self, key, required=True):
@@ -92,7 +95,7 @@ class Spec:
                 raise self.wrong(key, value, what)
         return [x if isinstance(x, str) else self._finite(key, x, what) for x in values]
 
-    def numbers(self) -> dict[str, float]:
+    def numbers(self) -> dict[str, Any]:
         return {key: self.number(key) for key in self.content}
 
     def unit(self, kind: str) -> str | None:

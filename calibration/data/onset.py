@@ -76,7 +76,7 @@ def start_position(recording: Recording) -> tuple[np.ndarray, bool]:
     t = t / max(t[-1], 1e-12)
     columns = np.stack([np.ones_like(t), t**2, t**3], axis=1)
     tip = tip[:_TRACED]
-    weights = np.ones(len(tip))
+    found, weights = np.zeros((3, 3)), np.ones(len(tip))
     for _ in range(_ROUNDS):
         root = np.sqrt(weights)[:, None]
         found = np.linalg.lstsq(root * columns, root * tip, rcond=None)[0]

@@ -59,7 +59,8 @@ def check_reach(recording: Recording, scene, source: Source) -> None:
     if np.any(distance > rod.reach):
         k = int(np.argmax(distance > rod.reach))
         tip = ", ".join(f"{x:g}" for x in recording.tip_positions[k])
-        few = np.sum(distance > rod.reach) <= 0.02 * len(distance) + 1 < len(distance) / 2
+        outside = int(np.sum(distance > rod.reach))
+        few = outside <= 0.02 * len(distance) + 1 < len(distance) / 2
         raise RecordingError(
             f"{where(k)} ({tip}) is {distance[k]:.4g} m from the base of a rod {rod.length:g} m "
             f"long; {_too_far(recording, rod, source, few)}"
@@ -96,9 +97,8 @@ class _Rod:
     def fits(self, tip) -> bool:
         """Whether all of it is within reach, and some of it about as far as the rod is long."""
         distance = self.distance(tip)
-        return bool(np.all(distance <= self.reach)) and np.max(distance) > (
-            _ABOUT_ITS_LENGTH * self.length
-        )
+        far = np.max(distance) > _ABOUT_ITS_LENGTH * self.length
+        return bool(np.all(distance <= self.reach) and far)
 
 
 def _others(source: Source):

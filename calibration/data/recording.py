@@ -56,6 +56,11 @@ class Recording:
     gaps: tuple[tuple[float, float], ...] = ()
 
     @property
+    def has_inputs(self) -> bool:
+        """Whether tensions or pressures drove it; without, it is a release."""
+        return self.tensions is not None or self.pressures is not None
+
+    @property
     def coordinates(self) -> np.ndarray:
         """(3,) bool: the coordinates of the tip that were measured at all."""
         return np.any(np.isfinite(self.tip_positions), axis=0)

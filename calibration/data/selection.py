@@ -13,7 +13,7 @@ from calibration.data.onset import detect_onset
 from calibration.data.recording import Recording, RecordingError
 
 # The motion is over when what is left of it is this part of the largest departure from rest,
-_SETTLED_PART = 0.05
+_REST_PART = 0.05
 # .. as a mean over this many samples, and beyond the noise.
 _SMOOTHING = 9
 # Before the motion: this part of its duration, and at least so many samples.
@@ -22,7 +22,7 @@ _LEAD_SAMPLES = 5
 
 RULE = (
     f"from {_LEAD_SAMPLES} samples (or {_LEAD_PART:.0%} of the motion) before the tip or an input "
-    f"first moves, until the tip stays within {_SETTLED_PART:.0%} of its largest departure from "
+    f"first moves, until the tip stays within {_REST_PART:.0%} of its largest departure from "
     "its final rest"
 )
 
@@ -91,7 +91,7 @@ def _default(recording: Recording) -> Selection:
     except RecordingError:
         return Selection(times[0], times[-1], "all samples (no clear movement)")
     begin = min(onset, input_onset(recording))
-    end = _settled(recording, onset)
+    end = _end_of_motion(recording, onset)
     lead = max(_LEAD_PART * (end - begin), _LEAD_SAMPLES * np.median(np.diff(times)))
     return Selection(max(times[0], begin - lead), end, RULE)
 
@@ -107,7 +107,7 @@ def input_onset(recording: Recording) -> float:
     return float(recording.times[np.argmax(changed) - 1]) if np.any(changed) else np.inf
 
 
-def _settled(recording: Recording, onset: float) -> float:
+def _end_of_motion(recording: Recording, onset: float) -> float:
     """The last time [s] at which the tip still moves."""
     times, tip = recording.track
     last = tip[-max(len(tip) // 10, 5) :]
@@ -117,5 +117,5 @@ def _settled(recording: Recording, onset: float) -> float:
     noise = np.mean(np.diff(last, n=2, axis=0) ** 2) / 6 if len(last) > 2 else 0.0
     level = np.convolve(departure, np.ones(_SMOOTHING) / _SMOOTHING, mode="same")
     # Twice the noise of three coordinates: a mean of nine samples does not reach it.
-    moving = level > _SETTLED_PART**2 * np.max(departure) + 2 * 3 * noise
+    moving = level > _REST_PART**2 * np.max(departure) + 2 * 3 * noise
     return float(times[np.flatnonzero(moving)[-1]]) if np.any(moving) else float(times[-1])

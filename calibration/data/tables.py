@@ -116,7 +116,7 @@ def _parquet(path) -> Table:
         try:
             values, unit = _arrow(column)
         except (pyarrow.ArrowException, ValueError, TypeError, NotImplementedError):
-            values = None
+            values = unit = None
         if values is None:
             skipped[name] = f"of type {column.type}, neither numbers nor times"
             continue

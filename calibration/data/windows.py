@@ -35,7 +35,7 @@ def split(recording: Recording, duration: float, lead: float) -> list[Recording]
             f"duration={duration:g} s, lead={lead:g} s: a duration above 0 and a lead of at least "
             "0 are needed"
         )
-    if recording.tensions is None and recording.pressures is None:
+    if not recording.has_inputs:
         raise RecordingError(
             f"{recording.source or recording.name}: a release without inputs is one motion and "
             "cannot be cut into windows"

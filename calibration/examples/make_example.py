@@ -60,7 +60,13 @@ def main() -> None:
         scheme=sr.SDIRK(order=4),
         method=sr.Collocation(intervals=16, order=6),
     )
-    seen = Motion(motion.tip_positions, motion.tip_velocities, motion.positions, motion.result)
+    seen = Motion(
+        motion.tip_positions,
+        motion.tip_velocities,
+        motion.positions,
+        motion.result,
+        jnp.max(motion.stats["error"]),
+    )
     tip = np.asarray(tip_at(seen, _DT, jnp.asarray(times - TIME_OFFSET)))
     random = np.random.default_rng(20240108)
     tip = tip + NOISE * random.standard_normal(tip.shape)

@@ -35,10 +35,10 @@ def align(
     """The alignment whose `of(moved)` is nearest to `missed` [m], both weighted."""
     x, y, z = moved.T
     zero = jnp.zeros_like(x)
-    # rotation x moved = turn @ rotation
-    turn = jnp.stack([zero, z, -y, -z, zero, x, y, -x, zero], axis=-1).reshape(-1, 3, 3)
+    # rotation x moved = cross @ rotation, with the skew matrix of -moved
+    cross = jnp.stack([zero, z, -y, -z, zero, x, y, -x, zero], axis=-1).reshape(-1, 3, 3)
     size = jnp.sqrt(jnp.mean(moved**2) + 1e-18)
-    columns = jnp.concatenate([jnp.broadcast_to(jnp.eye(3), turn.shape), turn / size], axis=-1)
+    columns = jnp.concatenate([jnp.broadcast_to(jnp.eye(3), cross.shape), cross / size], axis=-1)
     columns = (weights[..., None] * columns).reshape(-1, 6)
     # An axis that was never measured has no offset.
     ridge = jnp.diag(jnp.array([1e-9] * 3 + [_RIDGE] * 3))

@@ -61,7 +61,7 @@ def hangs(scene: sr.Scene, recording: Recording) -> bool:
 
 def beginning(recording: Recording, hanging: bool) -> str:
     """What is assumed of how a recording begins, in words."""
-    if recording.tensions is None and recording.pressures is None:
+    if not recording.has_inputs:
         return "straight, held until it is let go"
     told = "" if recording.starts_hanging is None else ", as it was told"
     if hanging:
@@ -70,17 +70,17 @@ def beginning(recording: Recording, hanging: bool) -> str:
 
 
 def _linear_deflection(scene: sr.Scene, recording: Recording) -> Float[np.ndarray, "3"]:
-    """Of the tip [m] under all loads and the first inputs, by linear beam theory, in the base
-    frame."""
+    """The deflection of the tip [m] under all loads and the first inputs, by linear beam theory, in
+    the base frame."""
     L = float(scene.length)
     rod = bulk(scene)
     EI, EA = np.asarray(rod.EI), float(rod.EA)
     h = None if scene.base_quaternion is None else np.asarray(scene.base_quaternion)
 
-    def seen(vector, turn):
-        """In the frame of the clamp (-1), or back in the base frame (1)."""
+    def seen(vector, sense):
+        """The vector in the frame of the clamp (-1), or back in the base frame (1)."""
         vector = jnp.zeros(3) if vector is None else jnp.asarray(vector, dtype=float)
-        own = None if h is None else jnp.array(h * [1, turn, turn, turn])
+        own = None if h is None else jnp.array(h * [1, sense, sense, sense])
         return np.asarray(vector if own is None else rotated(own, vector))
 
     gravity = seen(scene.gravity, -1)
@@ -91,15 +91,15 @@ def _linear_deflection(scene: sr.Scene, recording: Recording) -> Float[np.ndarra
     if scene.tip_load is not None:
         couple = seen(scene.tip_load.moment, -1)
         tip, moment = tip + seen(scene.tip_load.force, -1), moment + [couple[1], -couple[0]]
-    for part, inputs, sign in (
-        (scene.tendons, recording.tensions, -1.0),
-        (scene.chambers, recording.pressures, 1.0),
-    ):
-        if part is not None and inputs is not None:
-            pull = sign * np.asarray(inputs[0])
-            pull = pull * np.asarray(part.areas) if sign > 0 else pull
-            tip = tip + [0.0, 0.0, np.sum(pull)]
-            moment = moment - pull @ np.asarray(part.offsets)
+    pulls = []
+    if scene.tendons is not None and recording.tensions is not None:
+        pulls.append((-np.asarray(recording.tensions[0]), scene.tendons.offsets))
+    if scene.chambers is not None and recording.pressures is not None:
+        thrust = np.asarray(recording.pressures[0]) * np.asarray(scene.chambers.areas)
+        pulls.append((thrust, scene.chambers.offsets))
+    for pull, offsets in pulls:
+        tip = tip + [0.0, 0.0, np.sum(pull)]
+        moment = moment - pull @ np.asarray(offsets)
     # I_y bends towards x, I_x towards y.
     bend = (weight[:2] * L**3 / 8 + tip[:2] * L**3 / 3 + moment * L**2 / 2) / EI[::-1]
     return seen(np.append(bend, (weight[2] / 2 + tip[2]) * L / EA), 1)

@@ -11,9 +11,9 @@ import numpy as np
 from jaxtyping import Array, Float
 
 import softrod_jax as sr
+from softrod_jax.foundation.numbers import ScalarLike
+from softrod_jax.rod.constants import INCOMPLETE
 from softrod_jax.rod.energies import stiffness_at_rest
-
-Scalar = Float[Array, ""]
 
 # Of Gauss, on [0, 1]: exact for what a uniform segment needs.
 _PLACES, _WEIGHTS = np.polynomial.legendre.leggauss(4)
@@ -23,10 +23,10 @@ _PLACES, _WEIGHTS = (1 + _PLACES) / 2, _WEIGHTS / 2
 class Bulk(NamedTuple):
     """`mass` [kg]; `area` [m^2], the mean one; `EI` [N m^2], (2,), about x and y; `EA` [N]."""
 
-    mass: Scalar
-    area: Scalar
+    mass: ScalarLike
+    area: ScalarLike
     EI: Float[Array, "2"]
-    EA: Scalar
+    EA: ScalarLike
 
 
 def bulk(scene: sr.Scene) -> Bulk:
@@ -42,13 +42,16 @@ def bulk(scene: sr.Scene) -> Bulk:
                 K_se, K_bt = stiffness_at_rest(scene.material, *segment.rest_strain)
                 EI, EA = K_bt[:2], K_se[2]
             elif measured is None:
+                assert segment.young_modulus is not None, INCOMPLETE
                 EI = segment.young_modulus * section.second_moments
                 EA = segment.young_modulus * section.area
             else:
                 # An inextensible rod need not say how far it stretches.
                 EI, EA = measured.bending, jnp.inf if measured.axial is None else measured.axial
             density = segment.linear_density
-            density = segment.density * section.area if density is None else density
+            if density is None:
+                assert segment.density is not None, INCOMPLETE
+                density = segment.density * section.area
             mass, volume = mass + density * ds, volume + section.area * ds
             bending, stretch = bending + lever**2 * ds / EI, stretch + ds / EA
         start = start + segment.length

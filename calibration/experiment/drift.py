@@ -12,13 +12,14 @@ in a state of their own: what has drifted would drift the tip again within a few
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float
 
 from calibration.data.recording import Recording
 from calibration.data.selection import Selection
+from calibration.experiment.clock import Clock
 
 # What may drift, and how many numbers each has.
 CHANNELS = {"clock": 1, "tip": 3, "inputs": 1}
@@ -30,26 +31,6 @@ _CLOCK, _TIP, _INPUTS = 0.02, 0.02, 0.05
 LARGEST = 10.0
 # A simulation is long enough for a clock that is wrong by so many of them all the time.
 _REACH = 2.0
-
-
-@dataclass(frozen=True)
-class Clock:
-    """How a recording's time relates to the simulation's, which starts at `origin` + delay.
-
-    All in s, the recording's clock; the delay is within `low` <= delay <= `high`. A time offset
-    as reported is `origin - zero + delay`. `windows`: into how many the recording is divided for
-    the drift of each channel, by name; `start` and `duration` of all of them together.
-    """
-
-    origin: float
-    zero: float
-    low: float
-    high: float
-    dt: float
-    interval: float
-    windows: Mapping[str, int] = field(default_factory=dict)
-    start: float = 0.0
-    duration: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -88,7 +69,7 @@ def divided(
 
     A release without inputs has none: it is one motion, which alone tells of its clock.
     """
-    if recording.tensions is None and recording.pressures is None:
+    if not recording.has_inputs:
         return clock
     whole = selection.end - selection.start
     count = {name: max(1, math.floor(whole / d + 0.5)) for name, d in drift.items()}
@@ -105,11 +86,12 @@ def ramps(
     return np.clip((times[:, None] - edges) / max(length, 1e-12), 0.0, 1.0)
 
 
-def drifts(course: Mapping[str, np.ndarray], clock: Clock) -> dict[str, Drift]:
-    """By channel, from a recording's course, see `calibration.problem.evaluation`."""
+def drifts(nuisance: Mapping[str, np.ndarray | np.floating], clock: Clock) -> dict[str, Drift]:
+    """The drift of each channel, from the nuisance parameters of a recording, see
+    `calibration.problem.evaluation`."""
     found = {}
     for name, windows in clock.windows.items():
-        steps = course[name][:windows]
+        steps = np.asarray(nuisance[name])[:windows]
         edges = clock.start + clock.duration * np.linspace(0, 1, windows + 1)
         values = np.concatenate([np.zeros_like(steps[:1]), np.cumsum(steps, axis=0)])
         found[name] = Drift(edges, values)
@@ -117,12 +99,12 @@ def drifts(course: Mapping[str, np.ndarray], clock: Clock) -> dict[str, Drift]:
 
 
 def size(clock: Clock, channel: str, length: float) -> float:
-    """Standard deviation of what a channel changes by in a window."""
+    """The standard deviation of a channel's change in a window, as it is believed beforehand."""
     if channel == "clock":
         return _CLOCK * clock.duration / clock.windows[channel]
     return _TIP * float(length) if channel == "tip" else _INPUTS
 
 
 def latest(clock: Clock) -> float:
-    """By how much [s] a clock may be slow at the end: so much longer is the simulation."""
+    """How much [s] a clock may be slow at the end: the simulation is longer by so much."""
     return _REACH * _CLOCK * clock.duration if "clock" in clock.windows else 0.0

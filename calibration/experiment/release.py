@@ -22,7 +22,7 @@ from calibration.experiment.setup import rotated
 _OFFSET = 0.5
 
 
-def held(
+def with_supporting_hand(
     scene: sr.Scene, duration: Float[Array, ""], dt: Float[Array, ""], steps: int
 ) -> tuple[sr.Scene, Float[Array, "steps 1"]]:
     """The scene with the supporting tendon, and its tension [N] in each step.
@@ -30,6 +30,7 @@ def held(
     The scene has gravity and no tendons; the release begins at t = 0 and takes `duration` [s].
     """
     gravity = scene.gravity
+    assert gravity is not None, "a release is one under gravity"
     if scene.base_quaternion is not None:
         inverse = scene.base_quaternion * jnp.array([1.0, -1.0, -1.0, -1.0])
         gravity = rotated(inverse, gravity)
@@ -37,7 +38,7 @@ def held(
     size = jnp.sqrt(jnp.sum(across**2) + 1e-12)
     L = scene.length
     # M L^2 / 2 = rho A g L^4 / 8 + m g L^3 / 3: the tip stays where it is.
-    moment = bulk(scene).mass * size * L / 4
+    moment = jnp.asarray(bulk(scene).mass) * size * L / 4
     if scene.payload is not None:
         moment = moment + 2 / 3 * scene.payload.mass * size * L
     offset = _OFFSET * L

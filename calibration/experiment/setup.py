@@ -40,6 +40,7 @@ class Setup(eqx.Module):
         scene = self.scene
         changes = {}
         if self.gravity_tilt is not None:
+            assert scene.gravity is not None, "what is tilted is there"
             changes["gravity"] = rotated(_quaternion(self.gravity_tilt), scene.gravity)
         if self.clamp_rotation is not None:
             turned = _quaternion(self.clamp_rotation)
@@ -49,7 +50,8 @@ class Setup(eqx.Module):
             was = scene.base_position
             changes["base_position"] = self.clamp_shift if was is None else was + self.clamp_shift
         if self.payload_offset is not None:
-            weight = self.scene.payload.mass * changes.get("gravity", scene.gravity)
+            assert scene.payload is not None, "what is shifted is there"
+            weight = scene.payload.mass * changes.get("gravity", scene.gravity)
             base = changes.get("base_quaternion", scene.base_quaternion)
             arm = self.payload_offset if base is None else rotated(base, self.payload_offset)
             load = sr.TipLoad() if scene.tip_load is None else scene.tip_load
@@ -68,14 +70,14 @@ class Setup(eqx.Module):
         return tensions * self.tendon_efficiency
 
 
-def rotated(h: Float[Array, "*n 4"], a: Float[Array, "*n 3"]) -> Float[Array, "*n 3"]:
+def rotated(h: Float[Array, "*#n 4"], a: Float[Array, "*#n 3"]) -> Float[Array, "*#n 3"]:
     """`a` turned by the unit quaternion `h` (w, x, y, z)."""
     w, r = h[..., :1], h[..., 1:]
     return a + 2 * jnp.cross(r, jnp.cross(r, a) + w * a)
 
 
 def _quaternion(rotation: Float[Array, "3"]) -> Float[Array, "4"]:
-    """Of a rotation vector [rad], below half a turn."""
+    """The unit quaternion of a rotation vector [rad] that is shorter than pi."""
     # The square root has no derivative at 0; a nanoradian changes nothing.
     angle = jnp.sqrt(jnp.sum(rotation**2) + 1e-18)
     return jnp.concatenate([jnp.cos(angle / 2)[None], jnp.sin(angle / 2) / angle * rotation])

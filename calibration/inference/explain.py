@@ -15,13 +15,14 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from calibration.data.recording import Recording
 from calibration.experiment.bulk import bulk
 from calibration.experiment.setup import Setup
-from calibration.parameters.catalogue import catalogue
+from calibration.parameters.catalogue import as_names, catalogue
 from calibration.parameters.scales import Factor
 from calibration.parameters.unknowns import choose_unknowns
+from calibration.problem.dataset import Dataset
 from calibration.problem.problem import Point, Problem
+from calibration.search.history import History
 from calibration.search.optimise import levenberg_marquardt
 from calibration.search.progress import Report
 
@@ -72,22 +73,21 @@ class Explanation:
     reading: str = ""
 
 
-def explain(
+def explain_residuals(
     best: Point,
-    recordings: Sequence[Recording],
-    labels: Sequence[str],
+    data: Dataset,
     per_recording: Sequence[str],
-    bounds: Mapping,
-    report: Report,
-) -> list[Explanation]:
-    """Of every parameter that could be fitted and was not, the most telling first.
+    bounds: Mapping | None,
+    history: History,
+) -> tuple[Explanation, ...]:
+    """An explanation by every parameter that could be fitted and was not, the most telling first.
 
-    `best`: where the fit of `recordings` ended, with `labels`, `per_recording` and `bounds` as it
-    had them; `report` is told of further simulations.
+    `best`: where the fit of `data` ended, with `per_recording` and `bounds` as it had them.
     """
-    wider = _Wider(best, recordings, labels, tuple(per_recording), bounds)
-    found = [*_to_first_order(wider), *_of_each(wider), *_slow_release(wider, report)]
-    return sorted(found, key=lambda e: e.rms)
+    history.stage("what else", None)
+    wider = _Wider(best, data, as_names(per_recording), bounds)
+    found = [*_to_first_order(wider), *_of_each(wider), *_slow_release(wider, history.add)]
+    return tuple(sorted(found, key=lambda e: e.rms))
 
 
 @dataclass(frozen=True)
@@ -95,38 +95,38 @@ class _Wider:
     """The fit that ended at `best`, to which parameters can be added."""
 
     best: Point
-    recordings: Sequence[Recording]
-    labels: Sequence[str]
+    data: Dataset
     per_recording: tuple[str, ...]
-    bounds: Mapping
+    bounds: Mapping | None
 
     def by(self, names, of_each=()) -> tuple[Problem, np.ndarray, list[int]]:
         """The problem with `names` as well, those in `of_each` by recording; x at the best place,
         and which of its entries were fitted there."""
         problem = self.best.problem
-        names = [*problem.unknowns.names, *names]
+        names = [*problem.space.parameters.names, *names]
         own = (*self.per_recording, *of_each)
-        setup, unknowns = choose_unknowns(
+        setup, parameters = choose_unknowns(
             problem.scene,
-            self.recordings,
-            self.labels,
+            self.data.recordings,
+            self.data.labels,
             names,
             own,
             self.bounds,
             places=problem.batch.conditions,
         )
-        wider = replace(problem, setup=setup, unknowns=unknowns)
-        place = {u.label: i for i, u in enumerate(unknowns.items)}
-        x = wider.start()
-        old = [place[u.label] for u in problem.unknowns.items]
-        old += list(range(wider.size, len(x)))
+        space = replace(problem.space, parameters=parameters)
+        wider = replace(problem, setup=setup, space=space)
+        place = {u.label: i for i, u in enumerate(parameters.items)}
+        x = space.origin()
+        old = [place[u.label] for u in problem.space.parameters.items]
+        old += list(range(space.parameter_count, len(x)))
         x[old] = self.best.x
         return wider, x, old
 
 
 def _to_first_order(wider: _Wider) -> list[Explanation]:
     problem = wider.best.problem
-    scene, fitted = problem.scene, problem.unknowns.names
+    scene, fitted = problem.scene, problem.space.parameters.names
     candidates = {g: m for g in _GROUPS if (m := _members(scene, problem, g, fitted))}
     if not candidates:
         return []
@@ -134,9 +134,8 @@ def _to_first_order(wider: _Wider) -> list[Explanation]:
     point = many.at(x)
     if not point.ok:
         return []
-    found = []
+    found, items = [], many.space.parameters.items
     for group, members in candidates.items():
-        items = many.unknowns.items
         new = [i for i, u in enumerate(items) if u.parameter.name in members]
         columns = old + new
         step, loss = _step(point.jacobian[:, columns], point.residuals)
@@ -146,16 +145,18 @@ def _to_first_order(wider: _Wider) -> list[Explanation]:
             _, change = items[i].parameter.scale.limited(moved[i])
             values[items[i].label] = float(np.max(items[i].value(change)))
             units[items[i].label] = items[i].parameter.unit
-        found.append(Explanation(group, float(np.sqrt(loss / problem.samples)), values, units))
+        found.append(
+            Explanation(group, float(np.sqrt(loss / problem.statistics.samples)), values, units)
+        )
     return found
 
 
 def _of_each(wider: _Wider) -> list[Explanation]:
     """What recordings share, as if each had its own; to first order, without a simulation."""
     best, found = wider.best, []
-    problem, many = best.problem, len(best.problem.clocks)
+    problem, many = best.problem, len(best.problem.space.clocks)
     J = best.jacobian.reshape(many, -1, best.x.size)
-    for i, item in enumerate(problem.unknowns.items):
+    for i, item in enumerate(problem.space.parameters.items):
         if many < 2 or item.parameter.name not in _OF_EACH or item.recording is not None:
             continue
         own = np.zeros((*J.shape[:2], many))
@@ -165,11 +166,11 @@ def _of_each(wider: _Wider) -> list[Explanation]:
         step, loss = _step(columns, best.residuals)
         thetas = [best.x[i] + item.parameter.scale.limited(s)[1] for s in step[:many]]
         values = [float(np.max(item.value(theta))) for theta in thetas]
-        labels = [f"{item.label}@{wider.labels[k]}" for k in range(many)]
+        labels = [f"{item.label}@{wider.data.labels[k]}" for k in range(many)]
         found.append(
             Explanation(
                 f"{item.label} of each recording",
-                float(np.sqrt(loss / problem.samples)),
+                float(np.sqrt(loss / problem.statistics.samples)),
                 dict(zip(labels, values, strict=True)),
                 dict.fromkeys(labels, item.parameter.unit),
                 _loss_law(problem, best.x, values) if item.label == "bending_damping" else "",
@@ -196,7 +197,7 @@ def _loss_law(problem: Problem, x, dampings: list[float]) -> str:
 
 
 def _frequency(scene) -> float:
-    """At which a cantilever with a weight at its tip rings [Hz], by its first bending mode."""
+    """The frequency [Hz] at which a cantilever with a weight at its tip rings in its first mode."""
     rod = bulk(scene)
     mass = 0.2427 * float(rod.mass)
     mass += 0.0 if scene.payload is None else float(scene.payload.mass)
@@ -205,15 +206,16 @@ def _frequency(scene) -> float:
 
 
 def _slow_release(wider: _Wider, report: Report) -> list[Explanation]:
-    """Nothing if the recordings are no releases, or it was fitted or is known."""
+    """The explanation by a release's duration; none if there is none, or it is given or fitted."""
     problem, batch = wider.best.problem, wider.best.problem.batch
-    known, _ = catalogue(problem.scene)
-    told = _RELEASE in problem.unknowns.names or _RELEASE in batch.conditions
+    parameters, _ = catalogue(problem.scene)
+    told = _RELEASE in problem.space.parameters.names or _RELEASE in batch.conditions
     inputs = batch.tensions is not None or batch.pressures is not None
-    if told or inputs or _RELEASE not in known:
+    if told or inputs or _RELEASE not in parameters:
         return []
     many, x, _ = wider.by([_RELEASE], of_each=[_RELEASE])
-    own = [i for i, u in enumerate(many.unknowns.items) if u.parameter.name == _RELEASE]
+    space = many.space
+    own = [i for i, u in enumerate(space.parameters.items) if u.parameter.name == _RELEASE]
     points = [many.at(_released_in(many, x, own, duration)) for duration in _DURATIONS]
     for point in points:
         report(point)
@@ -222,12 +224,12 @@ def _slow_release(wider: _Wider, report: Report) -> list[Explanation]:
         return []
     mixed = x.copy()
     for recording, k in enumerate(_best_mix(points)):
-        of_it = [own[recording]] + [many.size + recording] * many.time_offset
+        of_it = [own[recording]] + [space.parameter_count + recording] * space.time_offset
         mixed[of_it] = points[k].x[of_it]
     start = many.at(mixed)
     report(start)
     end = levenberg_marquardt(many, start, _ITERATIONS, report).best
-    items = [many.unknowns.items[i] for i in own]
+    items = [space.parameters.items[i] for i in own]
     values = {u.label: float(u.value(end.x[i])) for i, u in zip(own, items, strict=True)}
     units = {u.label: u.parameter.unit for u in items}
     return [Explanation(_RELEASE, end.rms, values, units)] if end.ok else []
@@ -235,19 +237,19 @@ def _slow_release(wider: _Wider, report: Report) -> list[Explanation]:
 
 def _released_in(many: Problem, x, own: list[int], duration: float) -> np.ndarray:
     """x with that duration [s] of every release; half of it is a delay, which goes."""
-    x = x.copy()
+    x, space = x.copy(), many.space
     for i in own:
-        item = many.unknowns.items[i]
+        item = space.parameters.items[i]
         x[i] = item.parameter.scale.theta(item.initial, duration)
-    if many.time_offset:
-        x[many.delays] -= np.array([duration / 2 / c.interval for c in many.clocks])
+    if space.time_offset:
+        x[space.delays] -= np.array([duration / 2 / c.interval for c in space.clocks])
     return x
 
 
 def _best_mix(points: list[Point]) -> list[int]:
     """Which point to take for each recording, so that one Gauss-Newton step of all unknowns
     leaves least: one recording after the other, until none changes."""
-    many = len(points[0].problem.clocks)
+    many = len(points[0].problem.space.clocks)
     J = [p.jacobian.reshape(many, -1, p.x.size) for p in points]
     r = [p.residuals.reshape(many, -1) for p in points]
 
@@ -266,14 +268,14 @@ def _best_mix(points: list[Point]) -> list[int]:
 
 def _members(scene, problem, group, fitted) -> tuple[str, ...]:
     """What of `group` can be fitted and is not."""
-    known, groups = catalogue(scene)
+    parameters, groups = catalogue(scene)
     if group == "gravity_tilt" and scene.gravity is None:
         return ()
     members = []
     for name in groups.get(group, (group,)):
-        if name in fitted or name not in known:
+        if name in fitted or name not in parameters:
             continue
-        parameter = known[name]
+        parameter = parameters[name]
         value = parameter.get(parameter.prepare(Setup(scene)))
         conditions = problem.batch.conditions.get(name, 0.0)
         there = value is not None and (np.any(np.asarray(value)) or np.any(conditions))

@@ -13,7 +13,7 @@ from jaxtyping import Float
 from calibration.data.frames import straight_tip
 from calibration.data.recording import Recording, RecordingError
 from calibration.experiment.beginning import beginning
-from calibration.inference.checks import row
+from calibration.problem.batch import recording_of
 from calibration.problem.motion import tip_at
 from calibration.problem.problem import Point
 
@@ -31,12 +31,14 @@ def check_axes(point: Point, recordings: Sequence[Recording]) -> None:
     problem = point.problem
     length = float(problem.scene.length)
     for k, recording in enumerate(recordings):
-        motion = row(point.evaluation.motion, k)
+        motion = recording_of(point.evaluation.motion, k)
         if not (recording.origin_known and np.all(recording.coordinates)) or motion.result != 0:
             continue
         used = np.all(np.asarray(problem.batch.used)[k], axis=1)
         measured = np.asarray(problem.batch.tip)[k, used]
-        simulated = np.asarray(tip_at(motion, problem.clocks[k].dt, problem.batch.times[k][used]))
+        simulated = np.asarray(
+            tip_at(motion, problem.space.clocks[k].dt, problem.batch.times[k][used])
+        )
         left = _rms(simulated - measured)
         if left < _FAR * length:
             continue
@@ -44,11 +46,11 @@ def check_axes(point: Point, recordings: Sequence[Recording]) -> None:
         begins = np.median(measured[:5], axis=0)
         places = [straight_tip(problem.scene), simulated[0]]
         away = lambda tip, places=places: min(float(np.linalg.norm(tip - p)) for p in places)
-        axes, turned = _best_axes(simulated, measured, begins, away, length)
-        if turned < _CLEARLY * left:
+        axes, least = _best_axes(simulated, measured, begins, away, length)
+        if least < _CLEARLY * left:
             raise RecordingError(
                 f"{where}: the tip is {left:.3g} m rms from where a rod of {length:g} m is, and "
-                f"{turned:.3g} m with the axes {axes}: are its coordinates swapped, or reversed? "
+                f"{least:.3g} m with the axes {axes}: are its coordinates swapped, or reversed? "
                 f'Say which are which in a mapping (axes = "{axes}"), or turn the scene\'s clamp'
             )
         if away(begins) > _ELSEWHERE * length:
@@ -69,8 +71,8 @@ def _best_axes(
 ) -> tuple[str, float]:
     """Which axes of the recording, with which signs, would leave least, and how much [m].
 
-    A modulus that is far off may look like a turn, too. So other axes must bring a tip that begins
-    elsewhere, `away(begins)`, to where it should, or leave it where it is.
+    A modulus that is far off may look like a rotation, too. So other axes must bring a tip that
+    begins elsewhere, `away(begins)`, to where it should, or leave it where it is.
     """
     found = [(np.inf, 0, "")]
     lost = away(begins) > _FAR * length
@@ -79,15 +81,15 @@ def _best_axes(
             name = ",".join(
                 ("-" if s < 0 else "") + "xyz"[i] for i, s in zip(order, signs, strict=True)
             )
-            turn = lambda tip, order=order, signs=signs: tip[..., order] * np.array(signs)
+            along = lambda tip, order=order, signs=signs: tip[..., order] * np.array(signs)
             mended = (
-                away(turn(begins)) < _FAR * length
+                away(along(begins)) < _FAR * length
                 if lost
-                else (np.linalg.norm(turn(begins) - begins) < _FAR * length)
+                else (np.linalg.norm(along(begins) - begins) < _FAR * length)
             )
             if not mended:
                 continue
-            seen = turn(measured)
+            seen = along(measured)
             found.append((_rms(simulated - seen), sum(s < 0 for s in signs), name))
     left, _, name = min(found)
     return name, left

@@ -35,8 +35,8 @@ class Noise:
 def estimate_noise(best: Point) -> Noise:
     """The noise of the weighted residuals at `best`."""
     problem, n = best.problem, best.x.size
-    weights = problem.weights
-    known = weights > 0
+    weights = problem.statistics.weights
+    used = weights > 0
     residuals = best.residuals.reshape(weights.shape)
     J = best.jacobian.reshape(*weights.shape, n)
     # A perfect fit leaves rounding errors, which are no noise of zero.
@@ -44,10 +44,10 @@ def estimate_noise(best: Point) -> Noise:
     H = best.jacobian.T @ best.jacobian
     H = H + 1e-12 * np.trace(H) * np.eye(n)
     meat, plain, variances = np.zeros((n, n)), np.zeros((n, n)), []
-    for k in range(len(known)):
+    for k in range(len(used)):
         blocks = [
-            _series(problem, residuals, J, known, k, axis)
-            for axis in np.flatnonzero(np.any(known[k], axis=0))
+            _series(problem, residuals, J, used, k, axis)
+            for axis in np.flatnonzero(np.any(used[k], axis=0))
         ]
         lags = [_autocorrelation(series, fitted, H) for series, _, fitted in blocks]
         # A camera is as slow in one direction as in another: all together tell more than each.
@@ -64,25 +64,25 @@ def estimate_noise(best: Point) -> Noise:
             meat += variance * peak * JJ
             plain += variance * JJ
             variances.append(variance)
-    total = int(np.sum(known))
+    total = int(np.sum(used))
     trace = lambda M: float(np.trace(np.linalg.solve(H, M)))
     effective = total * min(1.0, trace(plain) / max(trace(meat), 1e-300))
     return Noise(meat, float(np.mean(variances)), total, effective)
 
 
-def _series(problem, residuals, J, known, k, axis):
+def _series(problem, residuals, J, used, k, axis):
     """Residuals of a recording and axis on an even grid, 0 where missing; how many there are; and
     their sensitivities on that grid."""
-    at = known[k, :, axis]
+    at = used[k, :, axis]
     times = np.asarray(problem.batch.times)[k, at]
-    index = np.rint((times - times[0]) / problem.clocks[k].interval).astype(int)
+    index = np.rint((times - times[0]) / problem.space.clocks[k].interval).astype(int)
     series, fitted = np.zeros(index[-1] + 1), np.zeros((index[-1] + 1, J.shape[-1]))
     series[index], fitted[index] = residuals[k, at, axis], J[k, at, axis]
     return series, int(np.sum(at)), fitted
 
 
 def _autocorrelation(series, fitted, H) -> np.ndarray:
-    """Of the noise, from residuals of a fit: (lags,), 1 at lag 0.
+    """The autocorrelation of the noise, from residuals of a fit: (lags,), 1 at lag 0.
 
     A fit takes out of the noise what looks like its sensitivities, and of correlated noise more.
     To first order in 1/samples, that lowers a lag by the autocorrelation of the projection.

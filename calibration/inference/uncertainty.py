@@ -16,7 +16,6 @@ import numpy as np
 
 from calibration.inference.noise import estimate_noise
 from calibration.problem.problem import Point
-from calibration.search.optimise import levenberg_marquardt
 from calibration.search.progress import Report
 
 _QUANTILE = 1.959964  # of the normal distribution, 97.5 %
@@ -32,7 +31,7 @@ NOT_IDENTIFIABLE = "not identifiable"
 
 @dataclass(frozen=True)
 class Uncertainty:
-    """In terms of x = (theta of the parameters, delays in sample intervals, drifts), (unknowns,).
+    """How well each coordinate of x is determined (`calibration.problem.space.SearchSpace`).
 
     - `standard_errors`, (unknowns,); `correlation`, (unknowns, unknowns).
     - `low`, `high`: ends of the 95 % intervals, (unknowns,); -inf and inf on an open side.
@@ -41,6 +40,7 @@ class Uncertainty:
       ones they are worth.
     - `allowed` [m^2], (unknowns,): by how much the sum of squares may grow inside the interval.
     - `quantile`: of Student's t; the interval's half width in standard errors.
+    - `information`, (unknowns, unknowns) [m^2]: J^T J and what is believed beforehand.
     """
 
     standard_errors: np.ndarray
@@ -59,14 +59,15 @@ class Uncertainty:
         return -np.linalg.solve(self.information, point.jacobian.T @ change)
 
 
-def estimate(best: Point, report: Report) -> Uncertainty:
+def estimate_uncertainty(best: Point, report: Report) -> Uncertainty:
     """Intervals at the best point of a fit. Evaluates more points for vague parameters."""
-    items, n = best.problem.unknowns.items, best.x.size
+    space, n = best.problem.space, best.x.size
+    items = space.parameters.items
     noise = estimate_noise(best)
     # Keeps directions that the data say nothing of from taking infinite variance to the others:
     # beforehand theta is 0 within the largest theta, as a 95 % interval.
     width = [u.parameter.scale.largest / 2 for u in items]
-    width += [_PRIOR_DELAY] * (best.problem.delays.stop - len(items))
+    width += [_PRIOR_DELAY] * (space.delays.stop - space.delays.start)
     width += [1.0] * (n - len(width))
     prior = noise.variance * np.diag(np.array(width) ** -2.0)
     information = best.jacobian.T @ best.jacobian + prior
@@ -121,7 +122,7 @@ def _bound(best: Point, i: int, side: float, valley, error, allowed, prior, repo
     fitted again by one Gauss-Newton step, which costs no simulation.
     """
     problem = best.problem
-    room = abs(problem.bounds[0 if side < 0 else 1][i] - best.x[i])
+    room = abs(problem.space.bounds[0 if side < 0 else 1][i] - best.x[i])
     alone = np.where(np.arange(best.x.size) == i, 1.0, 0.0)
     ways = [valley, alone] if np.max(np.abs(valley - alone)) > _FOLLOWS else [alone]
 
@@ -162,47 +163,3 @@ def _bound(best: Point, i: int, side: float, valley, error, allowed, prior, repo
         part = (1 - inside[1]) / (min(outside[1], 20.0) - inside[1])
         distance = inside[0] + np.clip(part, 0.1, 0.9) * (outside[0] - inside[0])
     return best.x[i] + side * distance
-
-
-@dataclass(frozen=True)
-class Profile:
-    """The best fit at fixed values of one parameter.
-
-    - `values`: of the parameter, growing; `excess`: by how much the sum of squares is larger than
-      the least, in units in which 1 is the edge of the 95 % interval; inf where nothing could be
-      simulated.
-    """
-
-    values: np.ndarray
-    excess: np.ndarray
-
-
-_PROFILE_POINTS, _PROFILE_ITERATIONS = 5, 8
-
-
-def profile(best: Point, known: Uncertainty, i: int, report: Report) -> Profile:
-    """The profile of unknown `i`: everything else is fitted again at each value."""
-    low, high = best.problem.bounds
-    reach = []
-    for end, bound in ((known.low[i], low[i]), (known.high[i], high[i])):
-        far = 1.4 * (end - best.x[i]) if np.isfinite(end) else bound - best.x[i]
-        reach.append(np.clip(best.x[i] + far, low[i], high[i]))
-    thetas, losses = [best.x[i]], [best.loss]
-    for end in reach:
-        start = best
-        for theta in np.linspace(best.x[i], end, _PROFILE_POINTS + 1)[1:]:
-            x = start.x.copy()
-            x[i] = theta
-            point = best.problem.at(x)
-            report(point)
-            if point.ok:
-                start = levenberg_marquardt(
-                    best.problem, point, _PROFILE_ITERATIONS, report, held=(i,)
-                ).best
-            thetas.append(theta)
-            losses.append(start.loss if point.ok else np.inf)
-    order = np.argsort(thetas)
-    item = best.problem.unknowns.items[i]
-    values = np.array([np.max(item.value(thetas[k])) for k in order])
-    excess = (np.array(losses)[order] - best.loss) / known.allowed[i]
-    return Profile(values, excess)

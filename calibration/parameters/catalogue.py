@@ -15,7 +15,7 @@ import numpy as np
 
 import softrod_jax as sr
 from calibration.experiment.setup import Setup
-from calibration.parameters.scales import Between, Factor, Scale, Shift
+from calibration.parameters.scales import AbstractScale, Between, Factor, Shift
 from softrod_jax.scene.placement import outside_sections
 
 
@@ -33,7 +33,7 @@ class Parameter:
     name: str
     unit: str
     find: Callable
-    scale: Scale = Factor()
+    scale: AbstractScale = Factor()
     index: int | tuple[int, ...] | None = None
     make: Callable | None = None
     remedy: str = ""
@@ -53,6 +53,11 @@ class Parameter:
     def prepare(self, setup: Setup) -> Setup:
         """The setup with the array there, at values that change nothing."""
         return setup if self.find(setup) is not None or self.make is None else self.make(setup)
+
+
+def as_names(names: Iterable[str] | str) -> tuple[str, ...]:
+    """Names that were given one by one, or a single one."""
+    return (names,) if isinstance(names, str) else tuple(names)
 
 
 DEFAULT = ("young_modulus", "bending_damping", "drag_coefficient")
@@ -94,11 +99,28 @@ def _maker(find: Callable, value: Callable) -> Callable:
     return lambda setup: eqx.tree_at(find, setup, value(), is_leaf=lambda x: x is None)
 
 
+# A parameter, and the name of the group that stands for it and its like, if there is one.
+_Entry = tuple[str | None, Parameter]
+
+
 def catalogue(scene: sr.Scene) -> tuple[dict[str, Parameter], dict[str, tuple[str, ...]]]:
     """Every parameter of `scene` by name, and groups of them by the name of the group."""
-    tendons = 0 if scene.tendons is None else scene.tendons.count
-    chambers = 0 if scene.chambers is None else scene.chambers.count
-    found = [
+    entries = [
+        *((None, parameter) for parameter in _of_any_scene()),
+        *_of_tendons(scene),
+        *_of_chambers(scene),
+        *_of_the_bench(scene),
+    ]
+    groups: dict[str, tuple[str, ...]] = {}
+    for group, parameter in entries:
+        if group is not None:
+            groups[group] = (*groups.get(group, ()), parameter.name)
+    return {parameter.name: parameter for _, parameter in entries}, groups
+
+
+def _of_any_scene() -> list[Parameter]:
+    """The parameters that a scene may have whatever its actuators are."""
+    return [
         Parameter("young_modulus", "Pa", _scene("young_modulus")),
         Parameter(
             "bending_damping", "N m^2 s", _scene("bending_damping"), remedy="rod.bending_damping"
@@ -129,48 +151,71 @@ def catalogue(scene: sr.Scene) -> tuple[dict[str, Parameter], dict[str, tuple[st
             allowed=_in_section("tendons"),
         ),
     ]
-    groups: dict[str, tuple[str, ...]] = {}
 
-    def add(group, unit, find, scale, indices, make=None, allowed=None):
-        """A parameter for each index: {suffix: index}."""
-        members = [
-            Parameter(f"{group}_{suffix}", unit, find, scale, index, make, allowed=allowed)
-            for suffix, index in indices.items()
-        ]
-        found.extend(members)
-        groups[group] = tuple(p.name for p in members)
 
-    xyz, numbered = {"x": 0, "y": 1, "z": 2}, lambda n: {str(i + 1): i for i in range(n)}
-    places = lambda n: {f"{i + 1}_{a}": (i, j) for i in range(n) for j, a in enumerate("xy")}
-    offsets = _part("tendons", "offsets")
-    if tendons:
-        inside = _in_section("tendons")
-        add("tendon_position", "m", offsets, _IN_THE_SECTION, places(tendons), allowed=inside)
-        efficiency = lambda setup: setup.tendon_efficiency
-        ones = _maker(efficiency, lambda: jnp.ones(tendons))
-        add("tendon_efficiency_each", "1", efficiency, Factor(), numbered(tendons), ones)
-        found.append(Parameter("tendon_efficiency", "1", efficiency, make=ones))
-    if chambers:
-        centres = _part("chambers", "offsets")
-        inside = _in_section("chambers")
-        add("chamber_position", "m", centres, _IN_THE_SECTION, places(chambers), allowed=inside)
-        add("chamber_area_each", "m^2", _part("chambers", "areas"), Factor(), numbered(chambers))
+def _of_tendons(scene: sr.Scene) -> list[_Entry]:
+    count = 0 if scene.tendons is None else scene.tendons.count
+    if not count:
+        return []
+    offsets, inside = _part("tendons", "offsets"), _in_section("tendons")
+    efficiency = lambda setup: setup.tendon_efficiency
+    ones = _maker(efficiency, lambda: jnp.ones(count))
+    number = _numbered(count)
+    return [
+        *_group("tendon_position", "m", offsets, _IN_THE_SECTION, _xy(count), allowed=inside),
+        *_group("tendon_efficiency_each", "1", efficiency, Factor(), number, ones),
+        (None, Parameter("tendon_efficiency", "1", efficiency, make=ones)),
+    ]
+
+
+def _of_chambers(scene: sr.Scene) -> list[_Entry]:
+    count = 0 if scene.chambers is None else scene.chambers.count
+    if not count:
+        return []
+    centres, inside = _part("chambers", "offsets"), _in_section("chambers")
+    areas = _part("chambers", "areas")
+    return [
+        *_group("chamber_position", "m", centres, _IN_THE_SECTION, _xy(count), allowed=inside),
+        *_group("chamber_area_each", "m^2", areas, Factor(), _numbered(count)),
+    ]
+
+
+def _of_the_bench(scene: sr.Scene) -> list[_Entry]:
+    """The parameters of what surrounds the robot: the hand that lets go, sensor, clamp, gravity."""
+    found: list[_Entry] = []
     if scene.gravity is not None and scene.tendons is None:
         duration = lambda setup: setup.release_duration
         make = _maker(duration, lambda: jnp.array(_RELEASE))
-        found.append(Parameter("release_duration", "s", duration, make=make))
-    weighs = scene.payload is not None and scene.gravity is not None
-    for name, unit, scale in (
-        ("sensor_offset", "m", _ON_THE_BENCH),
-        *([("payload_offset", "m", _ON_THE_BENCH)] if weighs else ()),
-        ("gravity_tilt", "rad", _ANGLE),
-        ("clamp_rotation", "rad", _ANGLE),
-        ("clamp_shift", "m", _ON_THE_BENCH),
+        found.append((None, Parameter("release_duration", "s", duration, make=make)))
+    weighs = scene.gravity is not None
+    for name, unit, scale, there in (
+        ("sensor_offset", "m", _ON_THE_BENCH, True),
+        ("payload_offset", "m", _ON_THE_BENCH, weighs and scene.payload is not None),
+        ("gravity_tilt", "rad", _ANGLE, weighs),
+        ("clamp_rotation", "rad", _ANGLE, True),
+        ("clamp_shift", "m", _ON_THE_BENCH, True),
     ):
-        if name != "gravity_tilt" or scene.gravity is not None:
+        if there:
             find = lambda setup, name=name: getattr(setup, name)
-            add(name, unit, find, scale, xyz, _maker(find, lambda: jnp.zeros(3)))
-    return {p.name: p for p in found}, groups
+            make = _maker(find, lambda: jnp.zeros(3))
+            found += _group(name, unit, find, scale, {"x": 0, "y": 1, "z": 2}, make)
+    return found
+
+
+def _group(group, unit, find, scale, indices, make=None, allowed=None) -> list[_Entry]:
+    """A parameter for each index of an array, by the suffix of its name: {suffix: index}."""
+    return [
+        (group, Parameter(f"{group}_{suffix}", unit, find, scale, index, make, allowed=allowed))
+        for suffix, index in indices.items()
+    ]
+
+
+def _numbered(count: int) -> dict[str, int]:
+    return {str(i + 1): i for i in range(count)}
+
+
+def _xy(count: int) -> dict[str, tuple[int, int]]:
+    return {f"{i + 1}_{axis}": (i, j) for i in range(count) for j, axis in enumerate("xy")}
 
 
 def choose(
@@ -183,10 +228,10 @@ def choose(
     and for a parameter that the scene does not have, or that is zero in it and is fitted as a
     factor, which has nothing to act on.
     """
-    known, groups = catalogue(scene)
     if fit is None:
         return tuple(n for n in DEFAULT if getattr(scene, n) is not None)
-    asked = (fit,) if isinstance(fit, str) else tuple(fit)
+    _, groups = catalogue(scene)
+    asked = as_names(fit)
     if not asked:
         raise ValueError("fit: no parameters; name at least one, or leave it out for the default")
     if "gravity_tilt" in groups:
@@ -202,10 +247,11 @@ def choose(
 
 
 def _check(scene: sr.Scene, name: str, may_be_zero: bool) -> None:
-    known, groups = catalogue(scene)
-    if name not in known:
-        raise ValueError(f"fit: unknown parameter {name!r}; known: {', '.join([*known, *groups])}")
-    parameter = known[name]
+    parameters, groups = catalogue(scene)
+    if name not in parameters:
+        names = ", ".join([*parameters, *groups])
+        raise ValueError(f"fit: unknown parameter {name!r}; known: {names}")
+    parameter = parameters[name]
     value = parameter.get(parameter.prepare(Setup(scene)))
     if value is None:
         raise ValueError(
@@ -221,9 +267,9 @@ def _check(scene: sr.Scene, name: str, may_be_zero: bool) -> None:
 
 def with_values(setup: Setup, names: tuple[str, ...], theta) -> Setup:
     """The setup with the parameters `names` at `theta`, (parameters,)."""
-    known, _ = catalogue(setup.scene)
+    parameters, _ = catalogue(setup.scene)
     for name, coordinate in zip(names, theta, strict=True):
-        parameter = known[name]
+        parameter = parameters[name]
         value = parameter.scale.value(parameter.get(setup), coordinate)
         setup = parameter.put(setup, value)
     return setup
@@ -231,8 +277,8 @@ def with_values(setup: Setup, names: tuple[str, ...], theta) -> Setup:
 
 def prepared(scene: sr.Scene, names: Iterable[str]) -> Setup:
     """A setup around `scene` in which every one of `names` has a place."""
-    known, _ = catalogue(scene)
+    parameters, _ = catalogue(scene)
     setup = Setup(scene)
     for name in names:
-        setup = known[name].prepare(setup)
+        setup = parameters[name].prepare(setup)
     return setup

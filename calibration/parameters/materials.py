@@ -24,7 +24,7 @@ class Material:
 
 
 def _smooth_on(modulus_psi: float, specific_gravity: float) -> Material:
-    """By the manufacturer's 100 % modulus [psi] and specific gravity.
+    """A rubber, by the manufacturer's 100 % modulus [psi] and specific gravity.
 
     The 100 % modulus is the nominal stress at twice the length, sigma. A neo-Hookean solid with
     that stress has E = 3 sigma / (2 - 1/4) = 1.7 sigma at small strain. Half to three times sigma
@@ -60,3 +60,9 @@ MATERIALS = {
     # gravities of 1.12 to 1.21 (makers' tables); softer ones exist.
     "tpu": Material((3e6, 2e9), (1050.0, 1300.0), "typical, from 60A to 75D", (0.35, 0.5)),
 }
+
+
+def check_material(name: str | None) -> None:
+    """Raises `ValueError` for a name that is not in `MATERIALS`; None is no material."""
+    if name is not None and name not in MATERIALS:
+        raise ValueError(f"material={name!r}: choose from {', '.join(MATERIALS)}")

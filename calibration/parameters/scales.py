@@ -5,6 +5,7 @@ A step of about 1 in theta is a large change for every scale, and theta has no f
 
 import abc
 from dataclasses import dataclass
+from typing import Any, ClassVar
 
 import jax
 import jax.numpy as jnp
@@ -16,43 +17,37 @@ LARGEST_FACTOR = 1e6
 
 
 @dataclass(frozen=True)
-class Scale(abc.ABC):
-    """`value` of theta, and back; what is far, vague and well known in terms of theta."""
+class AbstractScale(abc.ABC):
+    """`value` of theta, and back; what is far, vague and well known in terms of theta.
 
-    @property
-    @abc.abstractmethod
-    def largest(self) -> float:
-        """How far theta may go from 0 on either side."""
+    - `largest`: how far theta may go from 0 on either side.
+    - `vague`: a standard error above which linearisation is not trusted.
+    - `identified`: the widest 95 % interval that still counts as knowing the parameter.
+    """
 
-    @property
-    @abc.abstractmethod
-    def vague(self) -> float:
-        """A standard error above which linearisation is not trusted."""
-
-    @property
-    @abc.abstractmethod
-    def identified(self) -> float:
-        """The widest 95 % interval that still counts as knowing the parameter."""
+    largest: ClassVar[float]
+    vague: ClassVar[float]
+    identified: ClassVar[float]
 
     @abc.abstractmethod
-    def value(self, initial, theta):
+    def value(self, initial, theta) -> Any:
         """The value at `theta`."""
 
     @abc.abstractmethod
     def theta(self, initial, value) -> float:
         """The coordinate of `value`; raises `ValueError` for one that is not allowed."""
 
+    @abc.abstractmethod
     def limited(self, step: float) -> tuple[float, float]:
         """A step of an optimiser that is proportional to the value's, kept from overshooting, and
         the change of theta that it stands for."""
-        return step, step
 
 
 _LARGEST_FALL, _LARGEST_RISE = -0.8, 1e4  # of a value in one step, relative
 
 
 @dataclass(frozen=True)
-class Factor(Scale):
+class Factor(AbstractScale):
     """value = initial exp(theta): positive, and a step means the same for all magnitudes.
 
     An interval counts as known if its ends are less than a factor of four apart: a damping
@@ -79,7 +74,7 @@ class Factor(Scale):
 
 
 @dataclass(frozen=True)
-class Between(Scale):
+class Between(AbstractScale):
     """A value in the open interval (low, high): its logit moves by theta."""
 
     low: float
@@ -98,9 +93,12 @@ class Between(Scale):
         logit = lambda x: np.log((x - self.low) / (self.high - x))
         return float(logit(value) - logit(initial))
 
+    def limited(self, step):
+        return step, step
+
 
 @dataclass(frozen=True)
-class Shift(Scale):
+class Shift(AbstractScale):
     """value = initial + size theta, of either sign; `size`: a change that matters."""
 
     size: float

@@ -1,20 +1,21 @@
-"""The unknowns of a fit: which parameter, of which recording, between which bounds."""
+"""The parameters that a fit looks for: which of them, of which recording, between which bounds."""
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
 import softrod_jax as sr
 from calibration.data.recording import Recording, RecordingError
 from calibration.experiment.setup import Setup
-from calibration.parameters.catalogue import Parameter, catalogue, choose, prepared
+from calibration.parameters.catalogue import Parameter, as_names, catalogue, choose, prepared
 from calibration.parameters.scales import Factor
 
 
 @dataclass(frozen=True)
 class Unknown:
-    """One coordinate of the search. `recording`: the index it belongs to, None for all.
+    """An unknown parameter. `recording`: the index of the one it belongs to, None for all.
 
     `initial`: the value at theta = 0; `low`, `high`: bounds of theta.
     """
@@ -32,8 +33,11 @@ class Unknown:
 
 @dataclass(frozen=True)
 class Unknowns:
-    """`names`: the columns of theta as a simulation takes it; `columns`, (recordings, names):
-    the unknown behind each, -1 where there is none and the value is the setup's."""
+    """The unknown parameters.
+
+    `names`: the columns of theta as a simulation takes it; `columns`, (recordings, names): the
+    unknown behind each, -1 where there is none and the value is the setup's.
+    """
 
     names: tuple[str, ...]
     items: tuple[Unknown, ...]
@@ -43,9 +47,26 @@ class Unknowns:
         """(recordings, names) from the unknowns, the first of `x`."""
         return np.where(self.columns < 0, 0.0, x[np.maximum(self.columns, 0)])
 
+    def indices(self, names: Sequence[str] | str) -> list[int]:
+        """Which unknowns have these labels or are these parameters.
+
+        Raises `ValueError` for a name, of those to profile, that is not fitted.
+        """
+        found = []
+        for name in as_names(names):
+            its = [i for i, u in enumerate(self.items) if name in (u.label, u.parameter.name)]
+            if not its:
+                raise ValueError(
+                    f"profiles: {name!r} is not fitted; add it to fit, or leave it out"
+                )
+            found += its
+        return found
+
     def shared(self, x: np.ndarray, recordings: int) -> tuple["Unknowns", np.ndarray]:
-        """For other recordings, so many: of what single ones own, these have the mean in theta.
-        With their own theta, from `x` of the fitted ones."""
+        """The unknowns of so many other recordings, and their theta, from `x` of the fitted ones.
+
+        They share the mean, in theta, of a parameter of which each fitted recording has its own.
+        """
         items, thetas = [], []
         for name in self.names:
             of_it = [i for i, u in enumerate(self.items) if u.parameter.name == name]
@@ -59,11 +80,11 @@ class Unknowns:
         return Unknowns(self.names, tuple(items), columns), np.array(thetas)
 
 
-def conditioned(setup: Setup, conditions: Mapping[str, float]) -> Setup:
+def conditioned(setup: Setup, conditions: Mapping[str, Any]) -> Setup:
     """The setup with the values that a recording gives."""
-    known, _ = catalogue(setup.scene)
+    parameters, _ = catalogue(setup.scene)
     for name, value in conditions.items():
-        setup = known[name].put(setup, value)
+        setup = parameters[name].put(setup, value)
     return setup
 
 
@@ -72,8 +93,8 @@ def choose_unknowns(
     recordings: Sequence[Recording],
     labels: Sequence[str],
     fit: Sequence[str] | str | None,
-    per_recording: Sequence[str],
-    bounds: Mapping[str, tuple[float, float]],
+    per_recording: Sequence[str] | str = (),
+    bounds: Mapping[str, tuple[float, float]] | None = None,
     places: Iterable[str] = (),
 ) -> tuple[Setup, Unknowns]:
     """The setup that all recordings share, and the unknowns. The setup has a place for what is
@@ -84,38 +105,42 @@ def choose_unknowns(
 
     Raises `ValueError` for unknown names and for bounds that are not around the initial value.
     """
-    every_condition = {name: r for r in recordings for name in r.conditions}
+    conditions = dict.fromkeys(name for r in recordings for name in r.conditions)
     check_conditions(scene, recordings)
-    setup = prepared(scene, every_condition)
-    names = choose(setup.scene, fit, every_condition)
-    own = set(choose(setup.scene, per_recording, every_condition)) if per_recording else set()
-    for name in own - set(names):
-        raise ValueError(f"per_recording: {name!r} is not fitted; add it to fit, or leave it out")
-    for name in bounds:
-        if name not in names:
-            raise ValueError(f"bounds: {name!r} is not fitted; add it to fit, or leave it out")
-    setup = prepared(setup.scene, [*every_condition, *names, *places])
-    known, _ = catalogue(setup.scene)
+    setup = prepared(scene, conditions)
+    names = choose(setup.scene, fit, conditions)
+    own = choose(setup.scene, per_recording, conditions) if per_recording else ()
+    bounds = bounds or {}
+    for what, given in (("per_recording", own), ("bounds", bounds)):
+        for name in given:
+            if name not in names:
+                raise ValueError(f"{what}: {name!r} is not fitted; add it to fit, or leave it out")
+    setup = prepared(setup.scene, [*conditions, *names, *places])
+    parameters, _ = catalogue(setup.scene)
     items: list[Unknown] = []
     columns = np.full((len(recordings), len(names)), -1)
     for j, name in enumerate(names):
-        parameter = known[name]
-
-        def add(label, recording, setup, parameter=parameter, name=name):
-            initial = np.asarray(parameter.get(setup))
-            low, high = _bounds(parameter, initial, bounds.get(name), setup)
-            items.append(Unknown(label, parameter, recording, initial, low, high))
-            return len(items) - 1
-
-        if name not in own and name not in every_condition:
-            columns[:, j] = add(name, None, setup)
+        parameter, given = parameters[name], bounds.get(name)
+        if name not in own and name not in conditions:
+            columns[:, j] = len(items)
+            items.append(_unknown(parameter, name, None, setup, given))
             continue
         for k, recording in enumerate(recordings):
             its_own = conditioned(setup, recording.conditions)
             nothing = not np.any(np.asarray(parameter.get(its_own)))
             if not (nothing and isinstance(parameter.scale, Factor)):
-                columns[k, j] = add(f"{name}@{labels[k]}", k, its_own)
+                columns[k, j] = len(items)
+                items.append(_unknown(parameter, f"{name}@{labels[k]}", k, its_own, given))
     return setup, Unknowns(names, tuple(items), columns)
+
+
+def _unknown(
+    parameter: Parameter, label: str, recording: int | None, setup: Setup, given
+) -> Unknown:
+    """An unknown that is searched around its value in `setup`, between the bounds `given`."""
+    initial = np.asarray(parameter.get(setup))
+    low, high = _bounds(parameter, initial, given, setup)
+    return Unknown(label, parameter, recording, initial, low, high)
 
 
 def check_conditions(scene: sr.Scene, recordings: Sequence[Recording]) -> None:
@@ -127,19 +152,21 @@ def check_conditions(scene: sr.Scene, recordings: Sequence[Recording]) -> None:
 
 def _check_condition(scene, name, recording):
     where = recording.source or recording.name
-    known, groups = catalogue(scene)
-    if name not in known:
-        raise RecordingError(f"{where}: condition {name!r} is unknown; known: {', '.join(known)}")
+    parameters, _ = catalogue(scene)
+    if name not in parameters:
+        raise RecordingError(
+            f"{where}: condition {name!r} is unknown; known: {', '.join(parameters)}"
+        )
+    parameter = parameters[name]
     value = recording.conditions[name]
     if not np.isfinite(value):
         raise RecordingError(f"{where}: condition {name} = {value}: a finite number is needed")
-    setup = known[name].prepare(Setup(scene))
-    now = known[name].get(setup)
+    now = parameter.get(parameter.prepare(Setup(scene)))
     if now is None:
         raise RecordingError(
-            f"{where}: condition {name}: the scene has none; add {known[name].remedy} to it"
+            f"{where}: condition {name}: the scene has none; add {parameter.remedy} to it"
         )
-    positive = isinstance(known[name].scale, Factor)
+    positive = isinstance(parameter.scale, Factor)
     if np.ndim(now) or (positive and value < 0):
         what = "one number at least 0 is needed" if not np.ndim(now) else "has several numbers"
         raise RecordingError(f"{where}: condition {name} = {value:g}: {what}")

@@ -16,16 +16,16 @@ import numpy as np
 from jaxtyping import Array, Float
 
 import softrod_jax as sr
-from calibration.experiment.alignment import Alignment, align
+from calibration.experiment.alignment import Alignment
 from calibration.experiment.setup import Setup
 from calibration.parameters.catalogue import with_values
 from calibration.parameters.unknowns import conditioned
+from calibration.problem.batch import Batch
 from calibration.problem.memory import check_memory, motion_bytes
-from calibration.problem.motion import Batch, Motion, driven, simulate_motion, tip_at
+from calibration.problem.motion import Motion, driven, simulate_motion
+from calibration.problem.residuals import residual
 from softrod_jax.foundation.compiling import compiler_options
 
-# A residual of a simulation that failed, in rod lengths: worse than any motion of the rod.
-_FAILED = 10.0
 # One sweep of reverse mode costs about as much as seven tangents of forward mode (0.6 s of a robot
 # with three tendons: 0.09 s, against 0.13 s by 12 and 0.31 s by 33 parameters), and the time to
 # compile a second program.
@@ -43,46 +43,46 @@ def reverse_pays(parameters: int, outputs: int) -> bool:
 
 
 class Evaluation(eqx.Module):
-    """Residuals [m] and sensitivities of every recording; padded and missing samples are 0.
+    """Residuals [m] and sensitivities of every recording, or of one; 0 where samples are missing.
 
     - `residuals`, (recordings, samples, 3): simulated minus measured.
-    - `by_parameter`, (recordings, samples, 3, parameters), and `by_course`, its leaves
-      (recordings, samples, 3, ..) by those of the course, see `evaluate`: of the residuals, by
-      forward mode. By reverse mode, (recordings, parameters) [m^2] and (recordings, ..): of each
-      recording's sum of squared weighted residuals.
+    - `by_parameter`, (recordings, samples, 3, parameters), and `by_nuisance`, its leaves
+      (recordings, samples, 3, ..) by those of the nuisance parameters, see `evaluate`: derivatives
+      of the residuals, by forward mode. By reverse mode, (recordings, parameters) [m^2] and
+      (recordings, ..): derivatives of each recording's sum of squared weighted residuals.
     - `alignment`: what was added to the simulated tip to get there.
     - `motion`: the simulated tips, before that.
     """
 
-    residuals: Float[Array, "recordings samples 3"]
-    by_parameter: Float[Array, "recordings *samples parameters"]
-    by_course: dict[str, Float[Array, "recordings ..."]]
+    residuals: Float[Array, "*recordings samples 3"]
+    by_parameter: Float[Array, "... parameters"]
+    by_nuisance: dict[str, Float[Array, "..."]]
     alignment: Alignment
     motion: Motion
 
 
 def evaluate(
-    setup, batch: Batch, theta, courses, names, scheme, method, reverse: bool = False
+    setup, batch: Batch, theta, nuisance, names, scheme, method, reverse: bool = False
 ) -> Evaluation:
-    """Residuals at `theta`, (recordings, names), and `courses`.
+    """Residuals at `theta`, (recordings, names), and `nuisance`.
 
-    A course is how a recording's clock and sensor see the simulation, and what became of its
-    inputs: a dictionary of "delay" [s], (recordings,), and for each channel that may drift of how
-    much it changes in each window, (recordings, windows, numbers), see
+    The nuisance parameters are how a recording's clock and sensor see the simulation, and what
+    became of its inputs: a dictionary of "delay" [s], (recordings,), and for each channel that may
+    drift of how much it changes in each window, (recordings, windows, numbers), see
     `calibration.experiment.drift`.
 
     A simulation that fails has residuals of ten rod lengths, whose sensitivities are zero. Raises
     `RecordingError` if all that takes more memory than is reasonable.
     """
-    _check_memory(batch, courses, len(names), method, reverse)
+    _check_memory(batch, nuisance, len(names), method, reverse)
     return _compiled(_gradients if reverse else _sensitivities)(
-        setup, batch, theta, courses, names, scheme, method
+        setup, batch, theta, nuisance, names, scheme, method
     )
 
 
-def _check_memory(batch: Batch, courses, parameters: int, method, reverse: bool) -> None:
+def _check_memory(batch: Batch, nuisance, parameters: int, method, reverse: bool) -> None:
     many, steps, samples = batch.dt.shape[0], batch.steps, batch.times.shape[1]
-    seen = {name: np.size(x) // many for name, x in courses.items()}
+    seen = {name: np.size(x) // many for name, x in nuisance.items()}
     # The motion depends on parameters and on what became of the inputs; how it is seen, on all.
     moving = parameters + seen.get("inputs", 0)
     needed = motion_bytes(many, steps, method.intervals, 1 if reverse else moving)
@@ -111,108 +111,63 @@ def _each(one, batch: Batch, *inputs):
     return sr.spread(one, devices)(batch, *inputs)
 
 
-def _moved(own: Setup, recording: Batch, course, scheme, method) -> Motion:
+def _moved(own: Setup, recording: Batch, nuisance, scheme, method) -> Motion:
     """The motion under the inputs as they arrive."""
-    if "inputs" in course:
-        recording = driven(recording, course["inputs"][:, 0])
+    if "inputs" in nuisance:
+        recording = driven(recording, nuisance["inputs"][:, 0])
     return simulate_motion(own, recording, scheme, method)
 
 
-def _gradients(setup, batch, theta, courses, names, scheme, method):
-    def one(recording, theta, course):
+def _gradients(setup, batch, theta, nuisance, names, scheme, method):
+    def one(recording, theta, nuisance):
         own = conditioned(setup, recording.conditions)
 
-        def loss(theta, course):
-            motion = _moved(with_values(own, names, theta), recording, course, scheme, method)
-            r, alignment = _residual(motion, recording, course, setup.scene.length)
+        def loss(theta, nuisance):
+            motion = _moved(with_values(own, names, theta), recording, nuisance, scheme, method)
+            r, alignment = residual(motion, recording, nuisance, setup.scene.length)
             return jnp.sum((recording.weights * r) ** 2), (r, alignment, motion)
 
-        (by_theta, by_course), (r, *rest) = jax.grad(loss, (0, 1), has_aux=True)(theta, course)
-        return Evaluation(r, by_theta, by_course, *rest)
+        (by_theta, by_nuisance), (r, *rest) = jax.grad(loss, (0, 1), has_aux=True)(theta, nuisance)
+        return Evaluation(r, by_theta, by_nuisance, *rest)
 
-    return _each(one, batch, theta, courses)
+    return _each(one, batch, theta, nuisance)
 
 
-def _sensitivities(setup, batch, theta, courses, names, scheme, method):
-    def one(recording, theta, course):
+def _sensitivities(setup, batch, theta, nuisance, names, scheme, method):
+    def one(recording, theta, nuisance):
         own = conditioned(setup, recording.conditions)
-        # Only these move the rod; what else is in the course costs no simulation.
-        inputs = {name: x for name, x in course.items() if name == "inputs"}
+        # Only these move the rod; the other nuisance parameters cost no simulation.
+        inputs = {name: x for name, x in nuisance.items() if name == "inputs"}
 
         def by_cause(theta, inputs):
             motion = _moved(with_values(own, names, theta), recording, inputs, scheme, method)
-            return residual(motion, course)[0], motion
+            return seen_as(motion, nuisance)[0], motion
 
-        def residual(motion, course):
-            return _residual(motion, recording, course, setup.scene.length)
+        def seen_as(motion, nuisance):
+            return residual(motion, recording, nuisance, setup.scene.length)
 
         (by_parameter, by_inputs), motion = jax.jacfwd(by_cause, (0, 1), has_aux=True)(
             theta, inputs
         )
-        seen = {name: x for name, x in course.items() if name not in inputs}
-        by_course = jax.jacfwd(lambda c: residual(motion, c)[0])(seen)
-        r, alignment = residual(motion, course)
-        return Evaluation(r, by_parameter, {**by_course, **by_inputs}, alignment, motion)
+        seen = {name: x for name, x in nuisance.items() if name not in inputs}
+        by_nuisance = jax.jacfwd(lambda c: seen_as(motion, c)[0])(seen)
+        r, alignment = seen_as(motion, nuisance)
+        return Evaluation(r, by_parameter, {**by_nuisance, **by_inputs}, alignment, motion)
 
-    return _each(one, batch, theta, courses)
+    return _each(one, batch, theta, nuisance)
 
 
-def predict(setup, batch: Batch, theta, courses, names, scheme, method):
+def predict(setup, batch: Batch, theta, nuisance, names, scheme, method):
     """Like `evaluate`, without sensitivities: residuals and motions of every recording."""
-    # Of what `evaluate` takes, half the step or twice the grid takes no more.
+    # Half the step or twice the grid takes no more than the derivatives of `evaluate`.
     _check_memory(batch, {}, 0, method, reverse=False)
-    return _compiled(_predict)(setup, batch, theta, courses, names, scheme, method)
+    return _compiled(_predict)(setup, batch, theta, nuisance, names, scheme, method)
 
 
-def _predict(setup, batch, theta, courses, names, scheme, method):
-    def one(recording, theta, course):
+def _predict(setup, batch, theta, nuisance, names, scheme, method):
+    def one(recording, theta, nuisance):
         own = with_values(conditioned(setup, recording.conditions), names, theta)
-        motion = _moved(own, recording, course, scheme, method)
-        return _residual(motion, recording, course, setup.scene.length)[0], motion
+        motion = _moved(own, recording, nuisance, scheme, method)
+        return residual(motion, recording, nuisance, setup.scene.length)[0], motion
 
-    return _each(one, batch, theta, courses)
-
-
-def _residual(motion: Motion, recording: Batch, course, length, frame: Alignment | None = None):
-    """In the frame that fits best, or in `frame`, where the recording's own is free."""
-    ok = motion.result == sr.RESULTS.successful
-    used = recording.used
-    times = recording.times - course["delay"]
-    if "clock" in course:
-        times = times - recording.ramps["clock"] @ course["clock"][:, 0]
-    tip = seen = tip_at(motion, recording.dt, times)
-    if "tip" in course:
-        seen = tip + recording.ramps["tip"] @ course["tip"]
-    moved = jnp.where(ok, tip - motion.positions[0], 0.0)
-    missed = jnp.where(used & ok, recording.tip - seen, 0.0)
-    alignment = align(moved, missed, recording.weights) if frame is None else frame
-    free = recording.free_frame
-    alignment = jax.tree.map(lambda x: jnp.where(free, x, 0.0), alignment)
-    r = jnp.where(ok, alignment.of(moved) - missed, _FAILED * length)
-    return jnp.where(used, r, 0.0), alignment
-
-
-@jax.jit
-def losses_by_delay(motion: Motion, batch: Batch, courses, delays, length, frame=None):
-    """Sums of squares [m^2] at `delays` [s], (recordings, tries), the rest of the courses being as
-    it is: (recordings, tries). One after the other: a long log has no room for all at once."""
-
-    def of_one(arguments):
-        motion, recording, course, delays = arguments
-
-        def at(delay):
-            seen = {**course, "delay": delay}
-            residual = _residual(motion, recording, seen, length, frame)[0]
-            return jnp.sum((recording.weights * residual) ** 2)
-
-        return jax.lax.map(at, delays)
-
-    return jax.lax.map(of_one, (motion, batch, courses, delays))
-
-
-@jax.jit
-def residuals_in(motion: Motion, batch: Batch, courses, length, frame: Alignment):
-    """Residuals [m] of all recordings, (recordings, samples, 3), and their alignments, seen in
-    `frame` where their own is free."""
-    one = lambda *recording: _residual(*recording, length, frame)
-    return jax.vmap(one)(motion, batch, courses)
+    return _each(one, batch, theta, nuisance)

@@ -31,7 +31,7 @@ def check_memory(needed: float, what: str, remedy: str) -> None:
 
 
 def _of_this_machine() -> float:
-    """In bytes; infinite where it does not say."""
+    """The memory of this machine, in bytes; infinite where it does not say."""
     try:
         return float(os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES"))
     except (AttributeError, OSError, ValueError):  # not a POSIX system

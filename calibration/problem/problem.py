@@ -1,10 +1,10 @@
-"""What a fit makes small, and where: the space of all unknowns, and points in it.
+"""What a fit makes small, and where: a problem, and points of its search space.
 
-A `Problem` knows which unknown is which parameter, clock or drift; a `Point` is a place in their
-space with its residuals, its loss and its derivatives, which `calibration.problem.evaluation`
-computes.
+A `Problem` evaluates places in its space; a `Point` is such a place with its residuals, its loss
+and its derivatives, which `calibration.problem.evaluation` computes.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -12,69 +12,54 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Float
 
 import softrod_jax as sr
-from calibration.data.onset import white_noise
-from calibration.experiment import drift
-from calibration.experiment.drift import Clock
 from calibration.experiment.setup import Setup
 from calibration.parameters.unknowns import Unknowns, conditioned
+from calibration.problem.batch import Batch, make_batch
+from calibration.problem.dataset import Dataset
 from calibration.problem.evaluation import Evaluation, evaluate
-from calibration.problem.motion import Batch
-
-# A result that leaves less than this part of the tip's motion (rms), or less than so many standard
-# deviations of the noise, is taken for the right one.
-UNEXPLAINED, _NOISE = 0.15, 1.5
+from calibration.problem.motion import METHOD, SCHEME
+from calibration.problem.space import SearchSpace
+from calibration.problem.statistics import DataStatistics
 
 
 @dataclass(frozen=True, eq=False)
 class Point:
-    """A place in the space of all unknowns, evaluated.
+    """A place x of a problem's search space, (unknowns,), evaluated.
 
-    `x`, (unknowns,): theta of the parameters, then the delays in sample intervals, then for each
-    recording the drifts of its windows in terms of their standard deviations
-    (`calibration.experiment.drift`). `result`: the worst result code; 0 if every simulation
-    succeeded.
+    `result`: the worst result code; 0 if every simulation succeeded.
     """
 
-    x: np.ndarray
+    x: Float[np.ndarray, "unknowns"]
     evaluation: Evaluation
     problem: "Problem"
 
     @cached_property
-    def residuals(self) -> np.ndarray:
+    def residuals(self) -> Float[np.ndarray, "coordinates"]:
         """Weighted, (recordings * samples * 3,) [m]."""
-        return (self.problem.weights * self.evaluation.residuals).ravel()
+        return (self.problem.statistics.weights * self.evaluation.residuals).ravel()
 
     @cached_property
-    def jacobian(self) -> np.ndarray:
-        """Of the weighted residuals, (recordings * samples * 3, unknowns) [m]; of a problem that
-        is not `reverse`."""
-        problem, unknowns = self.problem, self.problem.unknowns
-        weights = problem.weights
-        J = np.zeros((*weights.shape, self.x.size))
-        for k, j in np.argwhere(unknowns.columns >= 0):
-            J[k, ..., unknowns.columns[k, j]] += self.evaluation.by_parameter[k, ..., j]
-        for name, (place, size) in problem.course_columns.items():
-            for k, *j in np.argwhere(place >= 0):
-                by = self.evaluation.by_course[name][k, ..., *j]
-                J[k, ..., place[k, *j]] = by * size[k, *j]
-        return (weights[..., None] * J).reshape(-1, self.x.size)
+    def jacobian(self) -> Float[np.ndarray, "coordinates unknowns"]:
+        """Derivatives of the weighted residuals [m]; of a problem that is not `reverse`."""
+        weights = self.problem.statistics.weights
+        return (weights[..., None] * self._derivatives).reshape(-1, self.x.size)
 
     @cached_property
-    def gradient(self) -> np.ndarray:
-        """Of the loss, (unknowns,) [m^2]."""
-        problem, unknowns = self.problem, self.problem.unknowns
-        prior = 2 * problem.prior * self.x
-        if not problem.reverse:
-            return 2 * self.jacobian.T @ self.residuals + prior
-        gradient = prior
-        for k, j in np.argwhere(unknowns.columns >= 0):
-            gradient[unknowns.columns[k, j]] += self.evaluation.by_parameter[k, j]
-        for name, (place, size) in problem.course_columns.items():
-            for k, *j in np.argwhere(place >= 0):
-                gradient[place[k, *j]] += self.evaluation.by_course[name][k, *j] * size[k, *j]
-        return gradient
+    def gradient(self) -> Float[np.ndarray, "unknowns"]:
+        """Derivatives of the loss [m^2]."""
+        prior = 2 * self.problem.prior * self.x
+        if self.problem.reverse:
+            return np.sum(self._derivatives, axis=0) + prior
+        return 2 * self.jacobian.T @ self.residuals + prior
+
+    @property
+    def _derivatives(self):
+        by_nuisance = {name: np.asarray(x) for name, x in self.evaluation.by_nuisance.items()}
+        by_parameter = np.asarray(self.evaluation.by_parameter)
+        return self.problem.space.derivatives(by_parameter, by_nuisance)
 
     @cached_property
     def misfit(self) -> float:
@@ -89,12 +74,12 @@ class Point:
     @property
     def rms(self) -> float:
         """Root mean square distance between measured and simulated tip [m]."""
-        return float(np.sqrt(self.misfit / self.problem.samples))
+        return float(np.sqrt(self.misfit / self.problem.statistics.samples))
 
     @property
     def explains(self) -> bool:
         """Whether it leaves little of the motion, or no more than noise."""
-        return self.problem.explained(self.loss, UNEXPLAINED)
+        return self.problem.statistics.explained(self.loss)
 
     @property
     def result(self) -> int:
@@ -102,21 +87,19 @@ class Point:
 
     @property
     def ok(self) -> bool:
-        return self.result == sr.RESULTS.successful and np.isfinite(self.loss)
+        return self.result == sr.RESULTS.successful and bool(np.isfinite(self.loss))
 
 
 @dataclass(frozen=True, eq=False)
 class Problem:
-    """Setup, recordings and what is fitted: from numbers to an evaluated `Point`.
+    """Setup, recordings and what is fitted: from x to an evaluated `Point`.
 
     `reverse`: points have the gradient of the loss, and no Jacobian.
     """
 
     setup: Setup
     batch: Batch
-    clocks: list[Clock]
-    unknowns: Unknowns
-    time_offset: bool
+    space: SearchSpace
     scheme: sr.SDIRK | sr.BDFAlpha
     method: sr.Collocation
     reverse: bool = False
@@ -125,128 +108,38 @@ class Problem:
     def scene(self) -> sr.Scene:
         return self.setup.scene
 
-    @property
-    def size(self) -> int:
-        """How many parameters are fitted; the delays come after them in x."""
-        return len(self.unknowns.items)
-
-    @property
-    def delays(self) -> slice:
-        """Where the delays are in x."""
-        return slice(self.size, self.size + len(self.clocks) * self.time_offset)
+    @cached_property
+    def statistics(self) -> DataStatistics:
+        return DataStatistics(self.batch)
 
     @cached_property
-    def course_columns(self) -> dict[str, tuple[np.ndarray, np.ndarray]]:
-        """Of every number of the recordings' courses, shaped like these: which entry of x it is,
-        -1 for none, and its size in units of x."""
-        many, end = len(self.clocks), self.delays.stop
-        place = np.arange(many) + self.size if self.time_offset else np.full(many, -1)
-        columns = {"delay": (place, np.array([clock.interval for clock in self.clocks]))}
-        for name, ramps in self.batch.ramps.items():
-            place = np.full((many, ramps.shape[-1], drift.CHANNELS[name]), -1)
-            size = np.zeros(place.shape)
-            for k, clock in enumerate(self.clocks):
-                own = place[k, : clock.windows.get(name, 0)]
-                if own.size:
-                    own[...] = end + np.arange(own.size).reshape(own.shape)
-                    size[k] = drift.size(clock, name, self.scene.length)
-                    end += own.size
-            columns[name] = place, size
-        return columns
-
-    @cached_property
-    def drifts(self) -> int:
-        """How many unknowns all drifts have, the last of x."""
-        return sum(
-            drift.CHANNELS[name] * windows
-            for clock in self.clocks
-            for name, windows in clock.windows.items()
-        )
-
-    @cached_property
-    def prior(self) -> np.ndarray:
-        """(unknowns,) [m^2]: weights of x^2 in the loss, for what is believed of drifts."""
-        prior = np.zeros(self.delays.stop + self.drifts)
-        if self.drifts:
-            prior[self.delays.stop :] = self.noise**2
+    def prior(self) -> Float[np.ndarray, "unknowns"]:
+        """Weights [m^2] of x^2 in the loss, for what is believed of drifts."""
+        prior, drifts = self.space.origin(), self.space.drifts
+        if drifts.stop > drifts.start:
+            prior[drifts] = self.statistics.noise**2
         return prior
 
-    @cached_property
-    def noise(self) -> float:
-        """Standard deviation [m] of a coordinate's noise, from second differences."""
-        used = np.asarray(self.batch.used)
-        measured = np.any(used, axis=1, keepdims=True)
-        used = np.all(used | ~measured, axis=-1) & np.any(used, axis=-1)
-        tips = [np.asarray(tip)[u] for tip, u in zip(self.batch.tip, used, strict=True)]
-        return float(np.median([white_noise(tip) for tip in tips]))
-
-    @cached_property
-    def bounds(self) -> tuple[np.ndarray, np.ndarray]:
-        """Lowest and highest x."""
-        low, high = ([getattr(u, k) for u in self.unknowns.items] for k in ("low", "high"))
-        if self.time_offset:
-            low += [c.low / c.interval for c in self.clocks]
-            high += [c.high / c.interval for c in self.clocks]
-        far = [drift.LARGEST] * self.drifts
-        return np.array(low + [-x for x in far]), np.array(high + far)
-
-    @cached_property
-    def weights(self) -> np.ndarray:
-        """(recordings, samples, 3)."""
-        return np.asarray(self.batch.weights)
-
-    @cached_property
-    def samples(self) -> float:
-        """Samples with at least one coordinate of the tip, each counting by its weight."""
-        return float(np.sum(np.max(self.weights**2, axis=-1)))
-
-    def explained(self, loss: float, part: float) -> bool:
-        """Whether a loss leaves less than `part` of the motion (rms), or no more than noise."""
-        noise = _NOISE * np.sqrt(3) * self.noise
-        return loss < max(part * self.motion_rms, noise) ** 2 * self.samples
-
-    @cached_property
-    def motion_rms(self) -> float:
-        """Root mean square distance of the measured tips from their mean [m]."""
-        w = self.weights**2
-        mean = np.sum(w * self.batch.tip, axis=1) / np.maximum(np.sum(w, axis=1), 1e-12)
-        about = np.asarray(self.batch.tip) - mean[:, None]
-        return float(np.sqrt(np.sum(w * about**2) / self.samples))
-
-    def weighted(self, weights: np.ndarray) -> "Problem":
-        """The same problem with other weights, (recordings, samples, 3)."""
+    def weighted(self, weights: Float[np.ndarray, "recordings samples 3"]) -> "Problem":
+        """The same problem with other weights."""
         batch = eqx.tree_at(lambda b: b.weights, self.batch, jnp.asarray(weights))
         return replace(self, batch=batch)
 
-    def start(self) -> np.ndarray:
-        """x at the setup's own values, the first guess of the clocks, and no drift."""
-        return np.zeros(self.delays.stop + self.drifts)
-
-    def courses(self, x) -> dict[str, np.ndarray]:
-        """The courses at `x`, see `evaluate`."""
-        return {
-            name: np.where(place < 0, 0.0, x[np.maximum(place, 0)]) * size
-            for name, (place, size) in self.course_columns.items()
-        }
-
-    def at(self, x, batch: Batch | None = None) -> Point:
+    def at(self, x: Float[np.ndarray, "unknowns"]) -> Point:
         """Evaluate at `x`, cut to the bounds."""
-        x = np.clip(x, *self.bounds)
+        space = self.space
+        x = np.clip(x, *space.bounds)
         evaluation = evaluate(
             self.setup,
-            self.batch if batch is None else batch,
-            jnp.asarray(self.unknowns.theta(x)),
-            self.courses(x),
-            self.unknowns.names,
+            self.batch,
+            jnp.asarray(space.parameters.theta(x)),
+            space.nuisance(x),
+            space.parameters.names,
             self.scheme,
             self.method,
             self.reverse,
         )
         return Point(x, jax.device_get(evaluation), self)
-
-    def values(self, x) -> dict[str, np.ndarray]:
-        """The parameters' values at `x`, by label."""
-        return {u.label: u.value(t) for u, t in zip(self.unknowns.items, x, strict=False)}
 
     def fitted_setup(self, x, recording: int | None = None) -> Setup:
         """The setup at `x`: of one recording, or with what all recordings share."""
@@ -254,7 +147,26 @@ class Problem:
         if recording is not None:
             own = {name: v[recording] for name, v in self.batch.conditions.items()}
             setup = conditioned(setup, own)
-        for u, theta in zip(self.unknowns.items, x, strict=False):
+        for u, theta in zip(self.space.parameters.items, x, strict=False):
             if u.recording is None or u.recording == recording:
                 setup = u.parameter.put(setup, jnp.asarray(u.value(theta)))
         return setup
+
+
+def make_problem(
+    setup: Setup,
+    parameters: Unknowns,
+    data: Dataset,
+    time_offset: bool,
+    dt: float | Sequence[float] | None,
+    scheme: sr.SDIRK | sr.BDFAlpha = SCHEME,
+    method: sr.Collocation = METHOD,
+) -> Problem:
+    """The problem of fitting `parameters` of `setup`, and delays if `time_offset`, to `data`.
+
+    `dt` [s]: the time step, see `calibration.problem.batch.make_batch`, which also raises.
+    """
+    batch, clocks = make_batch(setup.scene, data, time_offset, dt)
+    windows = {name: ramps.shape[-1] for name, ramps in batch.ramps.items()}
+    space = SearchSpace(parameters, clocks, time_offset, windows, float(setup.scene.length))
+    return Problem(setup, batch, space, scheme, method)

@@ -49,8 +49,8 @@ def log_figure(recording: Recording, scene=None, trajectory=None) -> Figure:
 def _draw_tip(rows, recording, trajectory) -> None:
     t, tip = recording.times, 1e3 * recording.tip_positions
     for i, (row, letter) in enumerate(zip(rows, "xyz", strict=True)):
-        known = np.isfinite(tip[:, i])
-        row.plot(t[known], tip[known, i], ".-", ms=3, lw=0.8, color=_MEASURED, label="log")
+        seen = np.isfinite(tip[:, i])
+        row.plot(t[seen], tip[seen, i], ".-", ms=3, lw=0.8, color=_MEASURED, label="log")
         if trajectory is not None:
             ts = recording.times[0] + np.asarray(trajectory.ts)
             simulated = 1e3 * np.asarray(trajectory.tip_positions[:, i])

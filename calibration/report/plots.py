@@ -72,10 +72,10 @@ def data_axes(inputs, tip, recording: Recording, window) -> None:
         inputs.text(0.5, 0.5, "no inputs: a release", ha="center", transform=inputs.transAxes)
     inputs.set_xlabel("t [s]")
     inputs.set_title(recording.name, fontsize=10, parse_math=False)
-    known = recording.has_tip
+    seen = recording.has_tip
     start = np.median(recording.track[1][:5], axis=0)
     for i, letter in enumerate("xyz"):
-        tip.plot(t[known], 1e3 * (recording.tip_positions[known, i] - start[i]), ".", ms=2,
+        tip.plot(t[seen], 1e3 * (recording.tip_positions[seen, i] - start[i]), ".", ms=2,
                  label=letter)  # fmt: skip
     selection = select(recording, window)
     tip.axvspan(selection.start, selection.end, color=_QUIET, alpha=0.15, label="used")

@@ -11,7 +11,8 @@ from calibration.data.selection import Selection
 from calibration.experiment.drift import Drift
 from calibration.experiment.setup import Setup
 from calibration.inference.explain import Explanation
-from calibration.inference.uncertainty import IDENTIFIED, Profile
+from calibration.inference.profile import Profile
+from calibration.inference.uncertainty import IDENTIFIED
 from calibration.search.checkpoint import Checkpoint
 from calibration.search.multistart import Start
 

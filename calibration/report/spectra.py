@@ -14,8 +14,8 @@ def amplitudes(times: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.nd
     window = np.hanning(len(even))
     found = np.zeros((len(even) // 2 + 1, values.shape[1]))
     for j, column in enumerate(values.T):
-        known = np.isfinite(column)
-        if np.count_nonzero(known) > 1:
-            path = np.interp(even, times[known], column[known])
+        measured = np.isfinite(column)
+        if np.count_nonzero(measured) > 1:
+            path = np.interp(even, times[measured], column[measured])
             found[:, j] = np.abs(np.fft.rfft(window * (path - np.mean(path))))
     return np.fft.rfftfreq(len(even), interval)[1:], found[1:] / (np.sum(window) / 2)

@@ -89,20 +89,7 @@ def as_json(fit: Fit) -> dict:
     """
     return {
         "result": fit.result,
-        "parameters": {
-            name: {
-                "value": _plain(e.value),
-                "ci95": [_plain(end) for end in e.ci95],
-                "initial": _plain(e.initial),
-                "unit": e.unit,
-                "identifiable": e.identifiable,
-                "verdict": e.verdict,
-                "recording": e.recording,
-                "step_shift": _plain(e.step_shift),
-                "grid_shift": _plain(e.grid_shift),
-            }
-            for name, e in fit.parameters.items()
-        },
+        "parameters": {name: _estimate(e) for name, e in fit.parameters.items()},
         "rmse_m": fit.rmse_m,
         "held_out_rmse_m": {r.name: r.rmse for r in fit.held_out},
         "held_out_rmse_own_frame_m": {r.name: r.rmse_own_frame for r in fit.held_out},
@@ -151,6 +138,20 @@ def as_json(fit: Fit) -> dict:
     }
 
 
+def _estimate(e: Estimate) -> dict:
+    return {
+        "value": _plain(e.value),
+        "ci95": [_plain(end) for end in e.ci95],
+        "initial": _plain(e.initial),
+        "unit": e.unit,
+        "identifiable": e.identifiable,
+        "verdict": e.verdict,
+        "recording": e.recording,
+        "step_shift": _plain(e.step_shift),
+        "grid_shift": _plain(e.grid_shift),
+    }
+
+
 def _plain(value):
     """Lists and floats; None for what is absent or not a number."""
     if value is None:
@@ -162,7 +163,7 @@ def _plain(value):
 
 
 def _sampled(recording) -> int:
-    return np.sum(np.any(np.isfinite(recording.measured), axis=1))
+    return int(np.sum(np.any(np.isfinite(recording.measured), axis=1)))
 
 
 _STYLE = """

@@ -10,6 +10,7 @@ import jax
 import numpy as np
 
 from calibration.problem.problem import Problem
+from calibration.search.settings import SearchSettings
 
 
 class CheckpointError(ValueError):
@@ -25,12 +26,18 @@ class Checkpoint:
       there is nothing, or it is of another fit.
     """
 
-    def __init__(self, path: str | PathLike | None, problem: Problem, resume: bool, what: tuple):
+    def __init__(
+        self,
+        path: str | PathLike | None,
+        problem: Problem,
+        resume: bool,
+        settings: SearchSettings,
+    ):
         self.path = None if path is None else Path(path)
         self.done: list[dict] = []
         self.x: np.ndarray | None = None
         self._loss = np.inf
-        self._of = _fingerprint(problem, what)
+        self._of = _fingerprint(problem, settings)
         if resume:
             self._read()
 
@@ -71,7 +78,7 @@ class Checkpoint:
         self.done, self.x, self._loss = done, x, loss
 
 
-def read_checkpoint(path: Path | None):
+def read_checkpoint(path: str | PathLike | None):
     """Which fit it is of, the ends of its searches, and where the search is: parameters and loss.
 
     Raises `CheckpointError` where there is none, and for what is none.
@@ -83,7 +90,7 @@ def read_checkpoint(path: Path | None):
         fit, done, x, loss = (content[k] for k in ("fit", "done", "x", "loss"))
         x, loss = None if x is None else _vector(x), float(loss)
         for start in done:
-            _vector(start["x"]), float(start["loss"]), str(start["result"])
+            _ = _vector(start["x"]), float(start["loss"]), str(start["result"])
     except OSError as e:
         raise CheckpointError(
             f"{path}: nothing to go on from ({e.strerror or e}); start without resuming"
@@ -103,8 +110,11 @@ def _vector(numbers) -> np.ndarray:
     return x
 
 
-def _fingerprint(problem: Problem, what: tuple) -> str:
-    parts = hashlib.sha256(repr((problem.unknowns.names, problem.time_offset, what)).encode())
+def _fingerprint(problem: Problem, settings: SearchSettings) -> str:
+    """Differs between fits that do not search the same space in the same way."""
+    space = problem.space
+    how = (settings.optimiser, settings.loss, settings.starts, settings.seed)
+    parts = hashlib.sha256(repr((space.parameters.names, space.time_offset, how)).encode())
     for leaf in jax.tree.leaves((problem.setup, problem.batch)):
         parts.update(np.asarray(leaf).tobytes())
     return parts.hexdigest()

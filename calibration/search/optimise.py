@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 import optax
 
-from calibration.problem.problem import UNEXPLAINED, Point, Problem
+from calibration.problem.problem import Point, Problem
 from calibration.search.progress import Report, Stage
 from calibration.search.start import better, by_frequency, coarse_search, in_time, search_size
 
@@ -63,10 +63,10 @@ def minimise(
     run, _ = OPTIMISERS[optimiser]
     title = optimiser.replace("_", " ")
     stage("first look", None)
-    here = problem.at(problem.start() if x is None else x)
+    here = problem.at(problem.space.origin() if x is None else x)
     report(here)
     loss, x = in_time(here)
-    if not problem.explained(loss, UNEXPLAINED):
+    if not problem.statistics.explained(loss):
         x = by_frequency(problem, here, report)
     start = problem.at(x)
     report(start)
@@ -101,7 +101,7 @@ def gradient_descent(
     point, best, history = start, start, [start.loss]
     for k in range(1, max_iterations + 1):
         update, state = adam.update(jnp.asarray(point.gradient / point.loss), state)
-        x = np.clip(x + np.asarray(update), *problem.bounds)
+        x = np.clip(x + np.asarray(update), *problem.space.bounds)
         point = problem.at(x)
         if not point.ok:
             # No gradient there: go halfway back.
@@ -118,23 +118,23 @@ def gradient_descent(
 
 
 def levenberg_marquardt(
-    problem: Problem, start: Point, max_iterations: int, report: Report, held: tuple[int, ...] = ()
+    problem: Problem, start: Point, max_iterations: int, report: Report, fixed: tuple[int, ...] = ()
 ) -> Outcome:
-    """Damped Gauss-Newton steps; an iteration is one evaluation. Unknowns `held` do not move."""
-    low, high = problem.bounds
+    """Damped Gauss-Newton steps; an iteration is one evaluation. Unknowns `fixed` do not move."""
+    low, high = problem.space.bounds
     point, damping, growth = start, _FIRST_DAMPING, _GROWTH
     losses = [start.loss]
     for k in range(1, max_iterations + 1):
         J, r = point.jacobian, point.residuals
         JJ = J.T @ J + np.diag(problem.prior)
         gradient = J.T @ r + problem.prior * point.x
-        # At a bound and pushed against it: held there.
+        # At a bound and pushed against it, an unknown stays there.
         free = ~((point.x <= low) & (gradient > 0)) & ~((point.x >= high) & (gradient < 0))
-        free[list(held)] = False
+        free[list(fixed)] = False
         if not np.any(free):
             return Outcome(point, "converged", k - 1)
         diagonal = np.diag(JJ)
-        # The floor holds parameters that the data say nothing of.
+        # The floor keeps parameters in place that the data say nothing of.
         scale = np.maximum(diagonal, 1e-9 * np.max(diagonal, initial=1e-300))
         A = JJ + damping * np.diag(scale)
         step = np.zeros_like(gradient)
@@ -164,14 +164,13 @@ def levenberg_marquardt(
 
 def _stepped(problem: Problem, x, step):
     """The step, kept from overshooting, and where it leads from x."""
-    step, x = step.copy(), x.copy()
-    for i, u in enumerate(problem.unknowns.items):
+    step, x, space = step.copy(), x.copy(), problem.space
+    for i, u in enumerate(space.parameters.items):
         step[i], moved = u.parameter.scale.limited(step[i])
         x[i] += moved
-    n, end = problem.delays.start, problem.delays.stop
-    step[n:end] = np.clip(step[n:end], -_LARGEST_DELAY_STEP, _LARGEST_DELAY_STEP)
-    step[end:] = np.clip(step[end:], -_LARGEST_DRIFT_STEP, _LARGEST_DRIFT_STEP)
-    x[n:] += step[n:]
+    for part, most in ((space.delays, _LARGEST_DELAY_STEP), (space.drifts, _LARGEST_DRIFT_STEP)):
+        step[part] = np.clip(step[part], -most, most)
+        x[part] += step[part]
     return step, x
 
 

@@ -13,14 +13,16 @@ Report = Callable[[Point], None]
 Stage = Callable[[str, int | None], None]
 
 
-class Meter(abc.ABC):
+class AbstractMeter(abc.ABC):
     """Used as a context; `stage` begins a part of the fit, `show` reports a point of it."""
 
+    @abc.abstractmethod
     def __enter__(self):
-        return self
+        pass
 
+    @abc.abstractmethod
     def __exit__(self, *error):
-        return None
+        pass
 
     @abc.abstractmethod
     def stage(self, title: str, total: int | None) -> None:
@@ -35,8 +37,14 @@ class Meter(abc.ABC):
         """What the fit ended with."""
 
 
-class Silent(Meter):
+class Silent(AbstractMeter):
     """Shows nothing."""
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *error):
+        pass
 
     def stage(self, title, total):
         pass
@@ -48,7 +56,7 @@ class Silent(Meter):
         pass
 
 
-class Bar(Meter):
+class Bar(AbstractMeter):
     """A bar on stderr, by rich; below it the parameters of the best point of the stage, and in the
     end those of the result."""
 
@@ -98,6 +106,8 @@ class Bar(Meter):
         self._task = self._progress.add_task(shown, total=total, loss="")
 
     def show(self, point):
+        if self._task is None:
+            return
         self._progress.update(self._task, description=self._title, advance=1)
         if point.ok and point.loss < self._best:
             self._best, self._values = point.loss, _values(point)
@@ -122,7 +132,7 @@ class Bar(Meter):
 
 def _values(point: Point) -> str:
     parts = []
-    for item, theta in zip(point.problem.unknowns.items, point.x, strict=False):
+    for item, theta in zip(point.problem.space.parameters.items, point.x, strict=False):
         unit = item.parameter.unit
         text = ",".join(f"{v:.4g}" for v in np.ravel(item.value(theta)))
         parts.append(f"{item.label} {text}" + (f" {unit}" if unit != "1" else ""))

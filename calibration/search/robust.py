@@ -7,18 +7,19 @@ of the residuals' sizes, by recording and axis.
 """
 
 import numpy as np
+from jaxtyping import Float
 
 from calibration.problem.problem import Point
 
 _HUBER, _TUKEY = 1.345, 4.685
 _MAD = 1.4826  # standard deviation / median absolute deviation of the normal distribution
-ROUNDS = 6
-_SETTLED = 0.02
 LOSSES = ("squares", "huber", "tukey")
 
 
-def weights(point: Point, loss: str, round_: int) -> np.ndarray:
-    """Factors of the residuals for the next round, (recordings, samples, 3); 0 where unused.
+def robust_weights(
+    point: Point, loss: str, round_: int
+) -> Float[np.ndarray, "recordings samples 3"]:
+    """Factors of the residuals for the next round; 0 where unused.
 
     Tukey's, which forget an outlier altogether, need a good start: two rounds of Huber's.
     """
@@ -34,7 +35,3 @@ def weights(point: Point, loss: str, round_: int) -> np.ndarray:
     else:
         w = np.minimum(1.0, _HUBER / np.maximum(z, 1e-12))
     return np.sqrt(w) * used
-
-
-def settled(old: np.ndarray, new: np.ndarray) -> bool:
-    return bool(np.max(np.abs(new - old), initial=0.0) < _SETTLED)

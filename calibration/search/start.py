@@ -8,8 +8,8 @@ coarse search over factors of the modulus and the damping.
 import numpy as np
 
 from calibration.experiment.bulk import bulk
-from calibration.problem.evaluation import losses_by_delay
 from calibration.problem.problem import Point, Problem
+from calibration.problem.residuals import losses_by_delay
 from calibration.search.progress import Report
 
 # Factors of the coarse search. The tip of a rod that rings for n periods is in phase only within
@@ -39,7 +39,7 @@ def by_frequency(problem: Problem, first: Point, report: Report) -> np.ndarray:
     x, point = first.x.copy(), first
     largest = _largest_damping(problem, x, measured)
     for i in damping:
-        excess = np.max(problem.unknowns.items[i].value(x[i])) / largest
+        excess = np.max(problem.space.parameters.items[i].value(x[i])) / largest
         if excess > 1:
             x[i] -= np.log(excess)
     if np.any(x != first.x):
@@ -64,7 +64,7 @@ def coarse_search(problem: Problem, first: Point, report: Report) -> np.ndarray:
         found = indices(problem, name)
         centre = best[1]
         for theta in np.log(factors) if found else ():
-            if problem.explained(best[0], _GOOD):
+            if problem.statistics.explained(best[0], _GOOD):
                 return best[1]
             x = centre.copy()
             x[found] += theta
@@ -86,7 +86,7 @@ def search_size(problem: Problem) -> int:
 
 def indices(problem: Problem, name: str) -> list[int]:
     """Which unknowns are the parameter `name`, of whatever recording."""
-    return [i for i, u in enumerate(problem.unknowns.items) if u.parameter.name == name]
+    return [i for i, u in enumerate(problem.space.parameters.items) if u.parameter.name == name]
 
 
 def better(a: Point, b: Point) -> Point:
@@ -99,22 +99,23 @@ def in_time(point: Point) -> tuple[float, np.ndarray]:
     Needs no simulation: the motion is only shifted. The loss is infinite if there is no motion.
     """
     problem, x = point.problem, point.x.copy()
+    space = problem.space
     if not point.ok:
         return np.inf, x
-    if not problem.time_offset:
+    if not space.time_offset:
         return point.loss, x
-    low, high = (np.array([getattr(c, k) for c in problem.clocks]) for k in ("low", "high"))
+    low, high = (np.array([getattr(c, k) for c in space.clocks]) for k in ("low", "high"))
     delays = np.linspace(low, high, _DELAYS, axis=1)
-    courses, motion = problem.courses(x), point.evaluation.motion
+    nuisance, motion = space.nuisance(x), point.evaluation.motion
     losses = np.asarray(
-        losses_by_delay(motion, problem.batch, courses, delays, problem.scene.length)
+        losses_by_delay(motion, problem.batch, nuisance, delays, problem.scene.length)
     )
     best = np.argmin(losses, axis=1)
     rows = np.arange(len(best))
     loss = float(np.sum(losses[rows, best]))
     if loss >= point.misfit:
         return point.loss, x
-    x[problem.delays] = delays[rows, best] / [c.interval for c in problem.clocks]
+    x[space.delays] = delays[rows, best] / [c.interval for c in space.clocks]
     return loss + point.loss - point.misfit, x
 
 
@@ -129,11 +130,11 @@ def _frequency(problem: Problem, tip: np.ndarray) -> float | None:
 
     The highest peak of the mean spectrum, from the second period of the record on.
     """
-    total, grid = 0.0, None
+    total, grid = np.zeros(1), None
     times = np.asarray(problem.batch.times)
-    for k, clock in enumerate(problem.clocks):
-        known = np.all(np.asarray(problem.batch.used)[k], axis=1)
-        moving = known & (times[k] >= 0)
+    for k, clock in enumerate(problem.space.clocks):
+        measured = np.all(np.asarray(problem.batch.used)[k], axis=1)
+        moving = measured & (times[k] >= 0)
         if np.count_nonzero(moving) < 16:
             continue
         t, path = times[k, moving], tip[k, moving]

@@ -85,7 +85,7 @@ class Equations(NamedTuple):
     layout: Layout
     rod: Rod
     history: History | None
-    guess: Float[Array, "points 6"]
+    guess: Float[Array, "points strain"]
 
     @property
     def _problem(self):
@@ -233,7 +233,7 @@ def solve_boundary_value(
     return Solved(fields, found._replace(result=result), factors)
 
 
-def _least_stretch(rod: Rod, layout: Layout, strain: Float[Array, "points n"]):
+def _least_stretch(rod: Rod, layout: Layout, strain: Float[Array, "points strain"]):
     """The least stretch v3 along the rod; in a motion, of means between nodes.
 
     There, without damping, a front lets strains ring from point to point about what they are.
@@ -250,14 +250,15 @@ def slow_unless(ok, history: History) -> History:
 
     Where a sample has failed, derivatives may overflow, and 0 * inf is NaN in the reverse pass.
     """
-    return jax.tree.map(lambda x, slow: jnp.where(ok, x, slow), history, History(1.0, 0.0, 0.0))
+    rest = History(1.0, 0.0, 0.0)  # pyright: ignore[reportArgumentType]  # in the place of arrays
+    return jax.tree.map(lambda x, slow: jnp.where(ok, x, slow), history, rest)
 
 
 @eqx.filter_custom_jvp
 def _solve(inputs, start, *, method, layout, options, search, reuse_exact):
     def one(arrays):
-        inputs, (guess, before) = eqx.combine(arrays, static)
-        equations = Equations(method, layout, *inputs, guess.strain)
+        (rod, history), (guess, before) = eqx.combine(arrays, static)
+        equations = Equations(method, layout, rod, history, guess.strain)
         U, found, factors = search(equations, options, equations.start(guess), before)
         if not layout.dynamic:
             found, factors = found._replace(error=equations.error(U, factors)), None
@@ -272,6 +273,7 @@ def _solve(inputs, start, *, method, layout, options, search, reuse_exact):
 @_solve.def_jvp
 def _solve_jvp(primals, tangents, **settings):
     inputs, (guess, _) = primals
+    rod, history = inputs
     U, found, factors = _solve(*primals, **settings)
     method, layout = settings["method"], settings["layout"]
     ok = found.result == RESULTS.successful
@@ -279,7 +281,8 @@ def _solve_jvp(primals, tangents, **settings):
     dot, absent = tangents[0], lambda t: t is None
     dynamic = jax.tree.map(lambda t, x: None if t is None else x, dot, inputs, is_leaf=absent)
     static = jax.tree.map(lambda t, x: x if t is None else None, dot, inputs, is_leaf=absent)
-    at = jnp.where(ok, U, Equations(method, layout, *inputs, guess.strain).start(guess))
+    begin = Equations(method, layout, rod, history, guess.strain).start(guess)
+    at = jnp.where(ok, U, begin)
 
     def tangent(dynamic, at, dot):
         def equations(dynamic):

@@ -113,7 +113,7 @@ class Collocation(AbstractMethod):
         """The nodes."""
         return points[:: self._stride]
 
-    def shape(self, strain, grid: Grid, base_position, base_quaternion):
+    def shape(self, strain, grid: Grid, base_position, base_quaternion) -> tuple[Array, Array]:
         """Positions (nodes, 3) and quaternions (nodes, 4), at the order of the method."""
         formula = self._formula
         at = np.concatenate([[0.0, 1.0], formula.c])
@@ -196,7 +196,7 @@ class Collocation(AbstractMethod):
         defect = y[1] - y[0] - h * increment
         if rod.at_gaps is not None:
             applied = self._at_gaps(states, rod, layout, history).value
-            defect = defect.at[rod.grid.division.gaps, -layout.pair :].add(applied)
+            defect = defect.at[rod.grid.gaps, -layout.pair :].add(applied)
         return _Residual(defect, inner, forces)
 
     def linearise(self, U, rod: Rod, layout: Layout, history, guess) -> Linear:
@@ -223,15 +223,15 @@ class Collocation(AbstractMethod):
         left, right = jnp.split(ends, 2, axis=-1)
         if rod.at_gaps is not None:
             slope = self._at_gaps(y, rod, layout, history).by_base_part
-            here = rod.grid.division.gaps, slice(-layout.pair, None), slice(layout.base_size)
+            here = rod.grid.gaps, slice(-layout.pair, None), slice(layout.base_size)
             left = left.at[here].add(slope)
         return Linear(left, right, (A[2:], moves, strains))
 
     def condense(self, inner, residual: "_Residual"):
         """The defects between nodes once inner states and strains have been corrected."""
         formula, (A, _, strains) = self._formula, inner
-        df = [0.0] * (2 + len(A))  # times h
-        if strains is not None:
+        df: list = [0.0] * (2 + len(A))  # times h
+        if strains is not None and residual.forces is not None:
             _, by_wrench = strains
             if isinstance(by_wrench, list):  # of stages, where intervals have their own lengths
                 forces = self._by_stage(residual.forces)
@@ -267,7 +267,7 @@ class Collocation(AbstractMethod):
 
     def _at_gaps(self, y, rod, layout, history):
         """What loads along the rod do, at the nodes before the gaps."""
-        at = rod.grid.division.gaps * self._stride
+        at = rod.grid.gaps * self._stride
         if history is not None:
             history = History(history.c0, history.strain[at], history.velocity[at])
         return gap_conditions(y[at], rod, layout, history)
@@ -296,4 +296,4 @@ class _Residual(NamedTuple):
 
     defect: Float[Array, "intervals n"]
     inner: list
-    forces: Float[Array, "points 6"] | None
+    forces: Float[Array, "points strain"] | None

@@ -86,7 +86,10 @@ def tip_of(strain: Float[Array, "points 6"], grid: Grid) -> Float[Array, "3"]:
 
 
 def roughness(
-    bend: Float[Array, "points k"], stretch: Float[Array, "points k"] | None, order: int, grid: Grid
+    bend: Float[Array, "points turn"],
+    stretch: Float[Array, "points vector"] | None,
+    order: int,
+    grid: Grid,
 ) -> Float[Array, ""]:
     """Differences of the strains along the rod of this order, as the tip sees them, in lengths.
 
@@ -94,8 +97,8 @@ def roughness(
     part of the rod by itself.
     """
     rough = lambda x: jnp.max(jnp.abs(jnp.diff(x, order, axis=0)), -1)
-    total, parts = 0.0, grid.parts()
-    for part in parts:
+    total = jnp.zeros(())
+    for part in grid.parts():
         points = part.stop - part.start
         # A turn of a section moves the tip by its distance from it.
         if grid.division is None:
@@ -110,7 +113,7 @@ def roughness(
     return total
 
 
-def hidden_turns(bend: Float[Array, "points k"], grid: Grid) -> Float[Array, ""]:
+def hidden_turns(bend: Float[Array, "points turn"], grid: Grid) -> Float[Array, ""]:
     """A lower bound for the estimate where intervals turn too far; else zero."""
     size = jnp.sqrt(jnp.sum(bend**2, -1))
     if grid.division is None:

@@ -23,7 +23,7 @@ class Guess(NamedTuple):
     """States and strains at the points of the method: of an answer, or where Newton starts."""
 
     y: Float[Array, "points n"]
-    strain: Float[Array, "points 6"]
+    strain: Float[Array, "points strain"]
 
 
 class Linear(NamedTuple):
@@ -65,7 +65,9 @@ class AbstractMethod(eqx.Module):
         """The entries of a points array that a user gets to see; both ends are among them."""
 
     @abc.abstractmethod
-    def shape(self, strain: Float[Array, "points 6"], grid: Grid, base_position, base_quaternion):
+    def shape(
+        self, strain: Float[Array, "points 6"], grid: Grid, base_position, base_quaternion
+    ) -> tuple[Float[Array, "outputs 3"], Float[Array, "outputs 4"]]:
         """Positions (outputs, 3) and quaternions (outputs, 4) from the strains at the points."""
 
     @abc.abstractmethod
@@ -98,7 +100,7 @@ class AbstractMethod(eqx.Module):
         """The same at an instant of a motion: the error if the rod were held in this state."""
 
     @abc.abstractmethod
-    def residual(self, U, rod: Rod, layout: Layout, history, guess):
+    def residual(self, U, rod: Rod, layout: Layout, history, guess) -> Any:
         """What is zero at the solution: a pytree. Not finite where it does not exist."""
 
     @abc.abstractmethod

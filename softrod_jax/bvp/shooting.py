@@ -65,13 +65,17 @@ class Shooting(AbstractMethod):
         if not isinstance(self.solver, diffrax.AbstractSolver):
             raise ValueError(f"Shooting: solver={self.solver!r}; give a diffrax.AbstractSolver")
 
+    # Equinox lets a property stand for a variable of the interface.
     @property
-    def intervals(self) -> int:
+    def intervals(self) -> int:  # pyright: ignore[reportIncompatibleVariableOverride]
         return self.segments
 
     @property
-    def order(self) -> int:
-        return self.solver.order(None)
+    def order(self) -> int:  # pyright: ignore[reportIncompatibleVariableOverride]
+        order = self.solver.order(None)
+        if order is None:
+            raise ValueError(f"Shooting: solver={self.solver!r} has no order; use another one")
+        return order
 
     def finer(self) -> "Shooting":
         """Twice as many steps in each segment."""
@@ -94,7 +98,7 @@ class Shooting(AbstractMethod):
         """All points: single shooting has no nodes but the two ends."""
         return points
 
-    def shape(self, strain, grid: Grid, base_position, base_quaternion):
+    def shape(self, strain, grid: Grid, base_position, base_quaternion) -> tuple[Array, Array]:
         """Positions (points, 3) and quaternions (points, 4), at order 6."""
         x = jnp.arange(4 * (strain.shape[0] - 1) + 1) / 4
         fine = _Window(x, strain.shape[0]).interpolate(strain)
@@ -217,7 +221,7 @@ class Shooting(AbstractMethod):
 
         if isinstance(self.stepsize_controller, diffrax.ConstantStepSize):
 
-            def advance(carry, x):
+            def one_step(carry, x):
                 z, state = carry
                 z, error, _, state, result = solver.step(
                     term, x, x + 1, z, None, state, made_jump=False
@@ -226,7 +230,7 @@ class Shooting(AbstractMethod):
                 error = jnp.full_like(z, jnp.nan) if error is None else jnp.abs(error)
                 return (z, state), (z, jax.lax.stop_gradient(error))
 
-            return advance, solver.init(term, 0.0, 1.0, start, None)
+            return one_step, solver.init(term, 0.0, 1.0, start, None)
 
         def advance(carry, x):
             z, _ = carry
@@ -243,6 +247,7 @@ class Shooting(AbstractMethod):
                 adjoint=diffrax.DirectAdjoint(),
                 throw=False,
             )
+            assert solution.ys is not None, "the state at the end is asked for"
             z = jnp.where(solution.result == diffrax.RESULTS.successful, solution.ys[-1], jnp.nan)
             # The controller keeps the error within its own tolerances.
             return (z, None), (z, jnp.full_like(z, jnp.nan))
@@ -263,7 +268,7 @@ class _Window:
         denominator = np.prod(np.where(others, at[:, None] - at, 1), -1)
         self._index, self._weights = first[:, None] + at, numerator / denominator
 
-    def interpolate(self, values: Float[Array, "points k"]) -> Float[Array, "m k"]:
+    def interpolate(self, values: Float[Array, "points *k"]) -> Float[Array, "m *k"]:
         return jnp.einsum("mw,mw...->m...", self._weights, values[self._index])
 
 

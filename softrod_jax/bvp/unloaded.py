@@ -28,6 +28,7 @@ def _positions(rod: Rod, h):
     """That of every point, about; (points, 3), or (points, 2) in a plane."""
     tangent = to_base(h, jnp.broadcast_to(rod.v_star, (h.shape[0], rod.v_star.shape[-1])))
     steps = jnp.diff(rod.grid.s)[:, None] * 0.5 * (tangent[1:] + tangent[:-1])
+    assert rod.p_base is not None, "a rod whose loads depend on the position"
     start = vector_in(rod.plane, rod.p_base)
     return start + jnp.concatenate([jnp.zeros_like(steps[:1]), jnp.cumsum(steps, axis=0)])
 
@@ -37,14 +38,14 @@ def _attitudes(rod: Rod, layout: Layout):
     s = rod.grid.s
     if rod.u_star.ndim == 1:
         turn = s[:, None] * rod.u_star
-    else:
-        steps = jnp.diff(s)[:, None] * 0.5 * (rod.u_star[1:] + rod.u_star[:-1])
-        turn = jnp.concatenate([jnp.zeros_like(steps[:1]), jnp.cumsum(steps, axis=0)])
-    if layout.planar:
-        return rod.h_base + turn
-    if rod.u_star.ndim == 1:
+        if layout.planar:
+            return rod.h_base + turn
         h = quaternion_exp(turn)
         return quaternion_product(jnp.broadcast_to(rod.h_base, h.shape), h)
+    steps = jnp.diff(s)[:, None] * 0.5 * (rod.u_star[1:] + rod.u_star[:-1])
+    if layout.planar:
+        turn = jnp.concatenate([jnp.zeros_like(steps[:1]), jnp.cumsum(steps, axis=0)])
+        return rod.h_base + turn
 
     def turned(h, step):
         h = quaternion_product(h, quaternion_exp(step))

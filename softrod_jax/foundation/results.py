@@ -10,6 +10,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.core import Tracer
 
 
 class RESULTS(IntEnum):
@@ -73,7 +74,7 @@ def raise_unless_successful(result, values, who: str, hint: str = ""):
     Raises `SolveError` where the codes are concrete. Under `jit` the check is compiled in and
     raises when the program runs.
     """
-    if isinstance(result, jax.core.Tracer):
+    if isinstance(result, Tracer):
         for code in RESULTS:
             if code != RESULTS.successful:
                 message = f"{who}: {result_message(code)}. Pass throw=False for a code per sample."

@@ -2,6 +2,7 @@
 
 import jax
 import jax.numpy as jnp
+from jax.core import Tracer
 
 
 def is_traced(*trees) -> bool:
@@ -10,4 +11,4 @@ def is_traced(*trees) -> bool:
     So it is where one of them is traced (by `jit`, `vmap`, `grad`), and under `jit` and in the
     loops of `jax.lax` for all that is computed, of constants as well.
     """
-    return any(isinstance(x, jax.core.Tracer) for x in (*jax.tree.leaves(trees), jnp.zeros(())))
+    return any(isinstance(x, Tracer) for x in (*jax.tree.leaves(trees), jnp.zeros(())))

@@ -19,7 +19,7 @@ except ModuleNotFoundError as error:
 from softrod_jax.bvp.collocation import Collocation
 from softrod_jax.bvp.method import AbstractMethod
 from softrod_jax.foundation.results import RESULTS, result_message
-from softrod_jax.learning.stepping import Action, Stepper
+from softrod_jax.learning.stepping import Action, RodState, Stepper
 from softrod_jax.scene.robots import hybrid_robot
 from softrod_jax.scene.scene import Scene
 from softrod_jax.statics import solve_static
@@ -87,10 +87,12 @@ class ReachEnv(gymnasium.Env):
             raise ValueError("ReachEnv: the scene has no tendons and no chambers; add actuators")
         self._limits = np.repeat([tension_limit, pressure_limit], [self._tendons, chambers])
         self.action_space = gymnasium.spaces.Box(-1.0, 1.0, self._limits.shape, np.float32)
-        sizes = np.repeat(np.float32([_REACH, _SPEED, _REACH, 1]), [3, 3, 3, self._limits.size])
+        sizes = np.array([_REACH, _SPEED, _REACH, 1], np.float32)
+        sizes = np.repeat(sizes, [3, 3, 3, self._limits.size])
+        self._sizes = sizes
         self.observation_space = gymnasium.spaces.Box(-sizes, sizes, dtype=np.float32)
-        self._fresh = None
-        self._state = None
+        self._fresh: RodState | None = None
+        self._state: RodState | None = None
 
     def reset(
         self, *, seed: int | None = None, options: dict | None = None
@@ -100,14 +102,14 @@ class ReachEnv(gymnasium.Env):
         if self._fresh is None:
             rest = self._action(-np.ones(self._limits.shape))
             initial = solve_static(self.stepper.scene, *rest, method=self.stepper.method)
-            self._fresh = self.stepper.reset(initial, rest)
+            self._fresh = self.stepper.reset(initial, Action(*rest))
         self._state, self._steps = self._fresh, 0
         self._last = -np.ones(self._limits.shape)
         target = (options or {}).get("target")
         self._target = self._random_target() if target is None else np.asarray(target, float)
         if self._target.shape != (3,) or not np.all(np.isfinite(self._target)):
             raise ValueError(f"ReachEnv.reset: target={target}; three numbers [m] are needed")
-        return self._observed()[:2]
+        return self._observed(self._state)[:2]
 
     def step(self, action) -> tuple[np.ndarray, float, bool, bool, dict[str, Any]]:
         """One step of the rod; see the class."""
@@ -118,35 +120,36 @@ class ReachEnv(gymnasium.Env):
             raise ValueError(
                 f"ReachEnv.step: action has shape {action.shape}; {self._limits.shape} is needed"
             )
-        self._state = self.stepper.step(self._state, self._action(action))
+        self._state = self.stepper.step(self._state, Action(*self._action(action)))
         self._steps, self._last = self._steps + 1, action
-        observation, info, distance = self._observed()
+        observation, info, distance = self._observed(self._state)
         truncated = info["failed"] or self._steps >= self.max_steps
         return observation, -distance, False, truncated, info
 
-    def _action(self, action) -> Action:
+    def _action(self, action) -> tuple[np.ndarray | None, np.ndarray | None]:
         values = 0.5 * (action + 1.0) * self._limits
         tensions, pressures = values[: self._tendons], values[self._tendons :]
-        return Action(tensions if tensions.size else None, pressures if pressures.size else None)
+        return tensions if tensions.size else None, pressures if pressures.size else None
 
     def _random_target(self) -> np.ndarray:
+        code = None
         for _ in range(_DRAWS):
             action = self._action(self.np_random.uniform(-1.0, 1.0, self._limits.shape))
             solution = solve_static(
                 self.stepper.scene, *action, method=self.stepper.method, throw=False
             )
-            if solution.result == RESULTS.successful:
+            code = solution.result
+            if code == RESULTS.successful:
                 return np.asarray(solution.tip_position)
         raise ValueError(
             f"ReachEnv.reset: {_DRAWS} random actions have no equilibrium, the last one: "
-            f"{result_message(solution.result)}; lower tension_limit or pressure_limit"
+            f"{result_message(code)}; lower tension_limit or pressure_limit"
         )
 
-    def _observed(self):
-        view, length = self.stepper.view(self._state), float(self.stepper.scene.length)
+    def _observed(self, state: RodState):
+        view, length = self.stepper.view(state), float(self.stepper.scene.length)
         parts = (view.tip_position, view.tip_velocity, self._target)
         observed = np.concatenate([*(np.asarray(x) / length for x in parts), self._last])
-        space = self.observation_space
         distance = float(np.linalg.norm(self._target - np.asarray(view.tip_position)))
         info = {
             "result": int(view.result),
@@ -154,7 +157,7 @@ class ReachEnv(gymnasium.Env):
             "failed": bool(view.result != RESULTS.successful),
             "distance": distance,
         }
-        clipped = np.clip(observed, space.low, space.high).astype(np.float32)
+        clipped = np.clip(observed, -self._sizes, self._sizes).astype(np.float32)
         return clipped, info, distance / length
 
 

@@ -8,12 +8,14 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int
+from jax.core import Tracer
+from jaxtyping import Array, Float, Int, Real
 
 from softrod_jax.bvp.collocation import Collocation
 from softrod_jax.bvp.method import AbstractMethod
 from softrod_jax.bvp.newton import NewtonOptions
 from softrod_jax.dynamics import simulate
+from softrod_jax.foundation.numbers import ManyLike, ScalarLike
 from softrod_jax.foundation.precision import require_float64
 from softrod_jax.scene.checks import checked_scene
 from softrod_jax.scene.inputs import time_step, whole_number
@@ -59,7 +61,7 @@ class RodLayer(eqx.Module):
     def __init__(
         self,
         scene: Scene,
-        dt,
+        dt: ScalarLike,
         *,
         positive: Sequence[str] = (),
         free: Sequence[str] = (),
@@ -91,8 +93,8 @@ class RodLayer(eqx.Module):
 
     def __call__(
         self,
-        tensions: Float[Array, "steps tendons"] | None = None,
-        pressures: Float[Array, "steps chambers"] | None = None,
+        tensions: Real[Array | np.ndarray, "steps tendons"] | Sequence[ManyLike] | None = None,
+        pressures: Real[Array | np.ndarray, "steps chambers"] | Sequence[ManyLike] | None = None,
         *,
         initial: StaticSolution | None = None,
     ) -> RodPath:
@@ -123,7 +125,7 @@ def _part(scene, name) -> Array:
         value = operator.attrgetter(name)(scene)
     except AttributeError:
         value = None
-    if not eqx.is_inexact_array(value):
+    if value is None or not eqx.is_inexact_array(value):
         raise ValueError(
             f"RodLayer: the scene has no number or array {name!r}; name a part of it that is "
             'there, such as "young_modulus" or "payload.mass"'
@@ -133,7 +135,7 @@ def _part(scene, name) -> Array:
 
 def _positive(scene, name) -> Array:
     value = _part(scene, name)
-    if not isinstance(value, jax.core.Tracer) and not np.all(np.asarray(value) > 0):
+    if not isinstance(value, Tracer) and not np.all(np.asarray(value) > 0):
         raise ValueError(
             f"RodLayer: {name} = {value} is not above zero and has no logarithm; name it in "
             "`free`, or start from a positive value"

@@ -10,12 +10,14 @@ from typing import Any
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from softrod_jax.bvp.collocation import Collocation
 from softrod_jax.bvp.method import AbstractMethod
 from softrod_jax.bvp.newton import NewtonOptions
 from softrod_jax.foundation.compiling import compiled
+from softrod_jax.foundation.numbers import ScalarLike
 from softrod_jax.foundation.precision import require_float64
 from softrod_jax.foundation.results import RESULTS, without_derivative
 from softrod_jax.rod.constants import clamp_pose, full_strain, make_rod
@@ -69,25 +71,25 @@ class RodState(eqx.Module):
     made_by: tuple[AbstractTimeScheme, AbstractMethod] = eqx.field(static=True)
 
     @property
-    def strains(self) -> Float[Array, "points 6"]:
+    def strains(self) -> Float[Array, "*batch points strain"]:
         return self.memory[0].strain
 
     @property
-    def velocities(self) -> Float[Array, "points 6"]:
+    def velocities(self) -> Float[Array, "*batch points pair"]:
         return self.memory[0].velocity
 
     @property
-    def result(self) -> Int[Array, ""]:
+    def result(self) -> Int[Array, "*batch"]:
         progress, method = self.progress, self.made_by[1]
         coarse = (progress.result == RESULTS.successful) & (progress.error > method.max_error)
         return jnp.where(coarse, RESULTS.inaccurate, progress.result).astype(jnp.int32)
 
     @property
-    def iterations(self) -> Int[Array, ""]:
+    def iterations(self) -> Int[Array, "*batch"]:
         return self.progress.iterations
 
     @property
-    def error(self) -> Float[Array, ""]:
+    def error(self) -> Float[Array, "*batch"]:
         return self.progress.error
 
 
@@ -132,7 +134,7 @@ class Stepper(eqx.Module):
     def __init__(
         self,
         scene: Scene,
-        dt,
+        dt: ScalarLike,
         *,
         substeps: int = 1,
         scheme: AbstractTimeScheme = SDIRK(),  # noqa: B008
@@ -183,7 +185,10 @@ class Stepper(eqx.Module):
         return _step(self, state, action, state.jumps if jump is None else jnp.asarray(jump))
 
     def rollout(
-        self, state: RodState, actions: Action, jumps: Bool[Array, "steps"] | None = None
+        self,
+        state: RodState,
+        actions: Action,
+        jumps: Bool[Array | np.ndarray, "steps"] | None = None,
     ) -> tuple[RodState, RodView]:
         """Steps through `actions`, (steps, tendons) and (steps, chambers), one row a step.
 

@@ -8,6 +8,7 @@ slower one. Devices do not wait for each other either, until results are gathere
 import functools
 import hashlib
 from collections.abc import Callable
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -108,7 +109,7 @@ def digest(tree) -> bytes:
     leaves, structure = jax.tree.flatten(tree)
     parts = hashlib.blake2b(str(structure).encode(), digest_size=16)
     for x in leaves:
-        if jax.dtypes.issubdtype(x.dtype, jax.dtypes.prng_key):
+        if jnp.issubdtype(x.dtype, jax.dtypes.prng_key):
             x = jax.random.key_data(x)
         parts.update(f"{x.dtype}{x.shape}".encode())
         parts.update(np.ascontiguousarray(x).tobytes())
@@ -117,7 +118,7 @@ def digest(tree) -> bytes:
 
 def count_samples(who: str, arguments) -> int:
     """How many rows each array in `arguments` has; an error if they differ."""
-    sizes = {x.shape[0] if jnp.ndim(x) else None for x in jax.tree.leaves(arguments)}
+    sizes: set[Any] = {x.shape[0] if jnp.ndim(x) else None for x in jax.tree.leaves(arguments)}
     if len(sizes) != 1 or None in sizes:
         raise ValueError(f"{who}: leading axes of {sizes}; every argument needs one row a sample")
     return sizes.pop()
@@ -146,7 +147,7 @@ def _placed(x, rows: NamedSharding):
     """`x` divided over the devices."""
     if rows.is_fully_addressable:
         return jax.device_put(x, rows)
-    if _divided(x) or jax.dtypes.issubdtype(x.dtype, jax.dtypes.extended):
+    if _divided(x) or jnp.issubdtype(x.dtype, jax.dtypes.extended):
         return x
     host = np.asarray(x)
     return jax.make_array_from_callback(host.shape, rows, lambda index: host[index])

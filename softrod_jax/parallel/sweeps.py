@@ -11,6 +11,7 @@ import os
 import zipfile
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import jax
 import numpy as np
@@ -146,7 +147,7 @@ class _Store:
         return slice(k * self.chunk, min((k + 1) * self.chunk, self.count))
 
     def write(self, k: int, leaves: list[np.ndarray]) -> None:
-        named = {f"leaf{i}": x for i, x in enumerate(leaves)}
+        named: dict[str, Any] = {f"leaf{i}": x for i, x in enumerate(leaves)}
         save = lambda file: np.savez(file, fingerprint=self.fingerprint, **named)
         self._replace(self.path(k), save)
 

@@ -113,7 +113,7 @@ def _frames(scene, trajectory, tensions, pressures, shown, speed, view, size, me
         for artist in drawn:
             artist.remove()
         drawn = draw_line(axes, scene, body, Line(lines.p[k], lines.R[k]), pull[k], air[k])
-        trail.set_data_3d(*tip[: k + 1].T)
+        trail.set_data_3d(*tip[: k + 1].T)  # pyright: ignore[reportAttributeAccessIssue]  # a Line3D
         clock.set_text(f"t = {ts[k]:.2f} s{pace}")
         canvas.draw()
         pictures.append(Image.fromarray(np.asarray(canvas.buffer_rgba())[..., :3]))
@@ -131,9 +131,9 @@ def _with_one_palette(pictures, keys) -> list[Image.Image]:
     rgb = ((colours[:, None] >> np.array([16, 8, 0])) & 0xFF).astype(np.uint8)
     coarse = np.unique(rgb & 0xF8, axis=0) + np.uint8(4)
     others = 255 - len(keys)
-    chosen = Image.fromarray(coarse[None]).quantize(others).getpalette()[: 3 * others]
+    chosen = Image.fromarray(coarse[None]).quantize(others).getpalette() or []
     exact = [x for key in keys for x in bytes.fromhex(key[1:])]
-    palette = np.array([252, 252, 252, *exact, *chosen]).reshape(-1, 3)
+    palette = np.array([252, 252, 252, *exact, *chosen[: 3 * others]]).reshape(-1, 3)
     nearest = [np.argmin(np.sum((palette - colour.astype(int)) ** 2, axis=1)) for colour in rgb]
     nearest = np.array(nearest, dtype=np.uint8)
     palette[0] = 255

@@ -58,7 +58,7 @@ class Body(NamedTuple):
         away = [np.linalg.norm(x.points, axis=-1).max() for x in (*self.tendons, *self.disks)]
         return max([self.radius, *map(float, away)])
 
-    def index(self, s) -> int:
+    def nearest(self, s) -> int:
         """The place that is nearest to arc length `s` [m]."""
         return int(np.argmin(np.abs(self.arc - float(s))))
 
@@ -86,7 +86,8 @@ def body_of(scene: Scene, points: int) -> Body:
             bores.append(Part(where, np.stack([empty if b is None else b for _, b in rings])))
     tendons, chambers, length = [], [], float(scene.length)
     if scene.tendons is not None:
-        paths = np.asarray(jax.vmap(lambda s: _route(scene, s))(jnp.asarray(arc)))
+        route = lambda s, tendons=scene.tendons: _route(tendons, scene.length, s)
+        paths = np.asarray(jax.vmap(route)(jnp.asarray(arc)))
         for i in range(scene.tendons.count):
             where = _where(arc, scene.tendons.part(i, scene.length))
             tendons.append(Part(where, paths[where, i]))
@@ -137,11 +138,11 @@ def _sections(segment, arc):
     return [segment.section_at(part) for part in x]
 
 
-def _route(scene: Scene, s):
+def _route(tendons: Tendons, length, s):
     """Where the tendons are at arc length `s`, (tendons, 3)."""
-    if type(scene.tendons) is Tendons:
-        return scene.tendons.routing(s, scene.length)[0]
-    return scene.tendons.routing(s)[0]
+    if type(tendons) is Tendons:
+        return tendons.routing(s, length)[0]
+    return tendons.routing(s)[0]
 
 
 def _where(arc, part) -> slice:

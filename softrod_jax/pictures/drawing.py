@@ -67,7 +67,8 @@ def rod_axes(
     elevation, azimuth = view
     # With x upright the rod, along z, would run into the page.
     axes.view_init(elevation, azimuth + (90 if vertical == 0 else 0), vertical_axis="xyz"[vertical])
-    axes.set_box_aspect(high - low, zoom=0.84)  # after the view, which says what is upright
+    # After the view, which says what is upright. A zoom need not be a whole number.
+    axes.set_box_aspect(high - low, zoom=0.84)  # pyright: ignore[reportArgumentType]
     return axes
 
 
@@ -154,7 +155,7 @@ def draw_line(
     if scene.payload is not None:
         surface(_ball(line.p[-1], 0.8 * body.radius), _PAYLOAD, 0.95, 6)
     for mass in scene.masses or ():
-        surface(_ball(line.p[body.index(mass.at)], 0.6 * body.radius), _PAYLOAD, 0.95, 6)
+        surface(_ball(line.p[body.nearest(mass.at)], 0.6 * body.radius), _PAYLOAD, 0.95, 6)
     order = 7 + 10 * layer
     for foot, arrow in _arrows(scene, body, line):
         foot, arrow = size * foot, size * arrow
@@ -171,7 +172,7 @@ def _dots(axes, scene, body: Body, line: Line, size: float, strength: float, ord
         ends = size * np.concatenate([placed(line.part(x.where), x.points) for x in body.ends])
         drawn += axes.plot(*ends.T, marker="o", ms=3, color="black", **style)
     for marker in scene.markers or ():
-        k = body.index(marker.at)
+        k = body.nearest(marker.at)
         offset = np.zeros(3) if marker.offset is None else np.asarray(marker.offset)
         place = size * (line.p[k] + line.R[k] @ offset)
         drawn += axes.plot(*place[:, None], marker="D", ms=3.5, color=_MARKER, **style)
@@ -189,7 +190,7 @@ def _arrows(scene, body: Body, line: Line) -> list[tuple[np.ndarray, np.ndarray]
     for force, s, frame in (*tip, *((x.force, x.at, x.frame) for x in scene.loads or ())):
         if force is None or not np.any(force):
             continue
-        k = body.index(s)
+        k = body.nearest(s)
         arrow = 0.25 * float(scene.length) * np.asarray(force) / np.linalg.norm(force)
         if frame == "body":
             arrow = line.R[..., k, :, :] @ arrow

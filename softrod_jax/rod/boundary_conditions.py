@@ -14,8 +14,8 @@ from softrod_jax.rod.rotations import cross, to_body
 class Wrench(NamedTuple):
     """(N, M) as a function of (h, q, omega) at a node: its value, (6,), and its derivative."""
 
-    value: Float[Array, "6"]
-    by_base_part: Float[Array, "6 a"]
+    value: Float[Array, "*gaps pair"]
+    by_base_part: Float[Array, "*gaps pair base"]
 
 
 def tip_condition(y: Float[Array, "n"], rod: Rod, layout: Layout, history) -> Wrench:
@@ -36,14 +36,16 @@ def gap_conditions(y: Float[Array, "gaps n"], rod: Rod, layout: Layout, history)
 
     `y`: at the nodes before the gaps, as `history` is.
     """
+    loads = rod.at_gaps or ()
 
     def wrench(base_part, history, here):
-        applied = [_applied(x, base_part, rod, layout, history) for x in rod.at_gaps]
-        return sum(k * w for k, w in zip(here, applied))
+        applied = [_applied(x, base_part, rod, layout, history) for x in loads]
+        return sum((k * w for k, w in zip(here, applied)), jnp.zeros(layout.pair))
 
     base_part = y[:, : layout.base_size]
-    here = jnp.stack([x.here for x in rod.at_gaps], 1)
-    along = (0, None if history is None else History(None, 0, 0), 0)
+    here = jnp.stack([x.here for x in loads], 1)
+    axes = History(None, 0, 0)  # pyright: ignore[reportArgumentType]  # in the place of arrays
+    along = (0, None if history is None else axes, 0)
     value = jax.vmap(wrench, along)(base_part, history, here)
     return Wrench(value, jax.vmap(jax.jacfwd(wrench), along)(base_part, history, here))
 

@@ -6,6 +6,7 @@ Absent parts are `None`, so the equations never see them. Of a scene in a plane 
 plane is left: two numbers for a vector and one for a turn (`scene/planes.py`).
 """
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import equinox as eqx
@@ -42,8 +43,8 @@ class PointLoad(eqx.Module):
     """
 
     here: Float[Array, "gaps"]
-    F: Float[Array, "3"] | None = None
-    M: Float[Array, "3"] | None = None
+    F: Float[Array, "vector"] | None = None
+    M: Float[Array, "turn"] | None = None
     mass: Scalar | None = None
     frame: str = eqx.field(static=True, default="base")
 
@@ -68,37 +69,37 @@ class Rod(eqx.Module):
     - `h_base`: quaternion of the clamp, (4,). `p_base` [m], (3,): its position, or None where no
       load depends on the position.
 
-    `K_se` is None for an inextensible rod. In a `plane`, (3,) becomes (2,) for v, q, N and (1,)
-    for u, omega, M; `h_base` is an angle, (1,).
+    `K_se` is None for an inextensible rod. In a `plane`, a vector (v, q, N) has two components
+    instead of three and a turn (u, omega, M) one; `h_base` is an angle, (1,).
     """
 
     grid: Grid
-    K_se: Float[Array, "... 3"] | None
-    K_bt: Float[Array, "... 3"]
-    v_star: Float[Array, "... 3"]
-    u_star: Float[Array, "... 3"]
+    K_se: Float[Array, "... vector"] | None
+    K_bt: Float[Array, "... turn"]
+    v_star: Float[Array, "... vector"]
+    u_star: Float[Array, "... turn"]
     rho_A: Float[Array, "... 1"]
-    rho_J: Float[Array, "... 3"]
-    h_base: Float[Array, "4"]
+    rho_J: Float[Array, "... turn"]
+    h_base: Float[Array, "attitude"]
     p_base: Float[Array, "3"] | None = None
-    B_se: Float[Array, "... 3"] | None = None
-    B_bt: Float[Array, "... 3"] | None = None
-    C: Float[Array, "... 3"] | None = None
-    gravity: Float[Array, "3"] | None = None
-    weight: Float[Array, "... 3"] | None = None
+    B_se: Float[Array, "... vector"] | None = None
+    B_bt: Float[Array, "... turn"] | None = None
+    C: Float[Array, "... vector"] | None = None
+    gravity: Float[Array, "vector"] | None = None
+    weight: Float[Array, "... vector"] | None = None
     tau: Float[Array, "... tendons"] | None = None
-    r: Float[Array, "... tendons 3"] | None = None
-    r_s: Float[Array, "... tendons 3"] | None = None
+    r: Float[Array, "... tendons vector"] | None = None
+    r_s: Float[Array, "... tendons vector"] | None = None
     front_viscosity: Float[Array, "... 1"] | None = None
-    n_ch: Float[Array, "... 3"] | None = None
-    m_ch: Float[Array, "... 3"] | None = None
+    n_ch: Float[Array, "... vector"] | None = None
+    m_ch: Float[Array, "... turn"] | None = None
     payload: Scalar | None = None
-    F_tip: Float[Array, "3"] | None = None
-    M_tip: Float[Array, "3"] | None = None
+    F_tip: Float[Array, "vector"] | None = None
+    M_tip: Float[Array, "turn"] | None = None
     at_gaps: tuple[PointLoad, ...] | None = None
     material: AbstractEnergy | None = None
-    energies: tuple[AbstractEnergy, ...] | None = None
-    distributed_loads: tuple[AbstractDistributedLoad, ...] | None = None
+    energies: Sequence[AbstractEnergy] | None = None
+    distributed_loads: Sequence[AbstractDistributedLoad] | None = None
     load_factor: Scalar | None = None
     s: Float[Array, "points"] | None = None
     plane: str | None = eqx.field(static=True, default=None)
@@ -151,6 +152,9 @@ class Rod(eqx.Module):
         return eqx.tree_at(pick, self, [function(x) for x in pick(self)])
 
 
+# Of what calls have looked for, before they come here.
+INCOMPLETE = "the scene has been checked for what it needs"
+
 # How many axes what may vary has where it does not.
 _AXES = {
     **dict.fromkeys(("K_se", "K_bt", "v_star", "u_star", "rho_A", "rho_J", "B_se", "B_bt", "C"), 1),
@@ -188,7 +192,7 @@ def make_rod(
     tau, r, r_s = (None,) * 3 if tensions is None else _tendons(scene, grid, tensions)
     K_se = vector_in(plane, body.K_se) if stretches else None
     front = None
-    if tensions is not None and spread_fronts and stretches:
+    if tensions is not None and spread_fronts and body.K_se is not None:
         front = _FRONT_VISCOSITY * grid.widest**2 * body.rho_A / body.K_se[..., 2:]
     gravity, load = vector_in(plane, scene.gravity), scene.tip_load
     own, one = (scene.material, scene.energies, scene.distributed_loads), jnp.ones(())
@@ -324,7 +328,7 @@ def _segment_of_points(scene: Scene, grid: Grid):
     """The number of the segment that each point is in."""
     ends = jnp.stack([jnp.asarray(x, dtype=float) for x in _ends(scene, grid)])
     middle = 0.5 * (ends[1:] + ends[:-1])
-    lengths = jnp.stack([segment.length for segment in scene.segments])
+    lengths = jnp.stack([segment.length for segment in scene.segments or ()])
     number = jnp.sum(middle[:, None] >= jnp.cumsum(lengths)[:-1], axis=1)
     return number[_division(grid).part_of_point(grid.stride)]
 
@@ -357,10 +361,12 @@ def _selected(values, number):
 def _stiffness_and_mass(segment: Segment, section, scene: Scene):
     """K_se (None if inextensible), K_bt, rho_A and rho_J where this is a segment's section."""
     I = section.second_moments
-    if segment.linear_density is None:
-        rho, rho_A = segment.density, segment.density * section.area
+    rho, rho_A = segment.density, segment.linear_density
+    if rho_A is not None:
+        rho = rho_A / section.area
     else:
-        rho, rho_A = segment.linear_density / section.area, segment.linear_density
+        assert rho is not None, INCOMPLETE
+        rho_A = rho * section.area
     measured, material = segment.stiffness, scene.material
     if material is not None:
         K_se, K_bt = stiffness_at_rest(material, *segment.rest_strain)
@@ -376,11 +382,12 @@ def _stiffness_and_mass(segment: Segment, section, scene: Scene):
 
 def _of_moduli(segment: Segment, section, scene: Scene):
     """K_se, or None if inextensible, and K_bt of an isotropic material."""
-    E, I = segment.young_modulus, section.second_moments
+    E, nu, I = segment.young_modulus, segment.poisson_ratio, section.second_moments
+    assert E is not None and nu is not None, INCOMPLETE
     if scene.inextensible and scene.plane is not None:
         # Nothing is sheared or twisted: the shear modulus is in no equation.
         return None, jnp.stack([E * I[0], E * I[1], jnp.zeros(())])
-    G = E / (2 * (1 + segment.poisson_ratio))
+    G = E / (2 * (1 + nu))
     K_bt = jnp.stack([E * I[0], E * I[1], G * section.torsion_constant])
     if scene.inextensible:
         return None, K_bt
@@ -401,8 +408,9 @@ def _active(scene: Scene, grid: Grid, actuators):
     return there[_division(grid).part_of_point(grid.stride)]
 
 
-def _tendons(scene: Scene, grid: Grid, tensions):
+def _tendons(scene: Scene, grid: Grid, tensions) -> tuple[Array, Array, Array | None]:
     """Tensions, places and slopes."""
+    assert scene.tendons is not None, INCOMPLETE
     r, r_s = scene.tendons.routing(grid.s, scene.length)
     there = _active(scene, grid, scene.tendons)
     return tensions if there is None else jnp.where(there, tensions, 0.0), r, r_s
@@ -433,7 +441,7 @@ def fastest_wave(rod: Rod) -> Scalar:
     return jnp.sqrt(jnp.max(rod.K_se[..., -1] / rod.rho_A[..., 0]))
 
 
-def full_strain(strain: Float[Array, "*points n"], rod: Rod) -> Float[Array, "*points 6"]:
+def full_strain(strain: Float[Array, "*points unknown"], rod: Rod) -> Float[Array, "*points 6"]:
     """(v, u) with all components, of the strains that are unknown in this rod."""
     if rod.K_se is None:
         v = jnp.broadcast_to(rod.v_star, (*strain.shape[:-1], rod.v_star.shape[-1]))
@@ -441,7 +449,7 @@ def full_strain(strain: Float[Array, "*points n"], rod: Rod) -> Float[Array, "*p
     return in_space(strain, rod.plane)
 
 
-def inner_strain(strain: Float[Array, "*points 6"], rod: Rod) -> Float[Array, "*points n"]:
+def inner_strain(strain: Float[Array, "*points 6"], rod: Rod) -> Float[Array, "*points unknown"]:
     """The strains that are unknown in this rod, of (v, u)."""
     u = turn_in(rod.plane, strain[..., 3:])
     if rod.K_se is None:
@@ -463,11 +471,13 @@ def clamp_pose(scene: Scene):
 
 def _chamber_wrench(scene: Scene, grid: Grid, pressures):
     """-d/d(v, u) of -sum_c P_c A_c e3.(v + u x r_c): the thrust of the chambers' caps."""
-    thrust = pressures * scene.chambers.areas
-    there = _active(scene, grid, scene.chambers)
+    chambers = scene.chambers
+    assert chambers is not None, INCOMPLETE
+    thrust = pressures * chambers.areas
+    there = _active(scene, grid, chambers)
     if there is not None:
         thrust = jnp.where(there, thrust, 0.0)
-    x, y = scene.chambers.offsets[:, 0], scene.chambers.offsets[:, 1]
+    x, y = chambers.offsets[:, 0], chambers.offsets[:, 1]
     total = jnp.sum(thrust, -1)
     zero = jnp.zeros_like(total)
     n = jnp.stack([zero, zero, total], -1)

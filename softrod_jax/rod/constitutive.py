@@ -23,11 +23,12 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from softrod_jax.rod.constants import Rod
+from softrod_jax.rod.constants import Rod, Scalar
 from softrod_jax.rod.energies import AbstractTerm, Density, TendonPull
 from softrod_jax.rod.rotations import cross
 
-Strain = Float[Array, "*points 6"]
+# (v, u), or u where v is given: 6, 3, or in a plane 3 and 1 numbers.
+Strain = Float[Array, "*points strain"]
 _MAX_ITERATIONS = 40
 # Size of the last step, relative; convergence is quadratic, so the error is far below it.
 _CONVERGED = 1e-9
@@ -40,11 +41,11 @@ class LocalProblem(NamedTuple):
     strains of the unloaded rod; `sizes`: those of strains that matter. Both (6,), with terms only.
     """
 
-    k: Float[Array, "... 6"]
-    b: Float[Array, "*points 6"]
+    k: Float[Array, "... strain"]
+    b: Strain
     terms: tuple[AbstractTerm, ...] = ()
-    rest: Float[Array, "... 6"] | None = None
-    sizes: Float[Array, "6"] | None = None
+    rest: Float[Array, "... strain"] | None = None
+    sizes: Float[Array, "strain"] | None = None
 
     @property
     def explicit(self) -> bool:
@@ -52,7 +53,9 @@ class LocalProblem(NamedTuple):
         return not self.terms
 
 
-def local_problem(rod: Rod, wrench, c0=None, strain_history=None) -> LocalProblem:
+def local_problem(
+    rod: Rod, wrench: Strain, c0: Scalar | None = None, strain_history: Strain | None = None
+) -> LocalProblem:
     """The problem for the body-frame wrench (N, M), (*points, 6).
 
     `c0` and `strain_history` (v_h, u_h), (*points, 6), as in `schemes.py`; `None` in statics.
@@ -67,13 +70,14 @@ def local_problem(rod: Rod, wrench, c0=None, strain_history=None) -> LocalProble
     elif k_se is None:
         b = b + rod.K_bt * rod.u_star
     else:
-        b = b + joined(rod.K_se * rod.v_star, rod.K_bt * rod.u_star)
+        b = b + joined(k_se * rod.v_star, k_bt * rod.u_star)
     if rod.m_ch is not None:
         b = b + (rod.m_ch if rod.n_ch is None else jnp.concatenate([rod.n_ch, rod.m_ch], -1))
-    if c0 is not None and rod.B_se is not None:
+    if c0 is not None and rod.B_se is not None and strain_history is not None:
+        assert k_se is not None, "what is damped has a stiffness"
         k_se = k_se + c0 * rod.B_se
         b = b.at[..., stretch].add(-rod.B_se * strain_history[..., stretch])
-    if c0 is not None and rod.B_bt is not None:
+    if c0 is not None and rod.B_bt is not None and strain_history is not None:
         k_bt = k_bt + c0 * rod.B_bt
         b = b.at[..., bend].add(-rod.B_bt * strain_history[..., bend])
     k = k_bt if k_se is None else joined(k_se, k_bt)
@@ -90,16 +94,18 @@ def local_problem(rod: Rod, wrench, c0=None, strain_history=None) -> LocalProble
     return LocalProblem(k, b, terms, rest, sizes)
 
 
-def _terms(rod: Rod, c0, strain_history) -> tuple[AbstractTerm, ...]:
+def _terms(rod: Rod, c0: Scalar | None, strain_history: Strain | None) -> tuple[AbstractTerm, ...]:
     """The energies that are not quadratic."""
     v = rod.v_star if rod.K_se is None else None
     terms = []
-    if rod.tau is not None:
+    if rod.tau is not None and rod.r is not None:
         pull = TendonPull(rod.tau, rod.r, rod.r_s, v)
-        if c0 is not None and rod.front_viscosity is not None:
+        if c0 is not None and strain_history is not None and rod.front_viscosity is not None:
             l_h = pull.linear_paths(strain_history)
             pull = TendonPull(rod.tau, rod.r, rod.r_s, v, rod.front_viscosity * rod.tau, c0, l_h)
         terms.append(pull)
+    if rod.s is None:
+        return tuple(terms)
     if rod.material is not None:
         terms.append(Density(rod.material, rod.s, rod.reach, None, v, rod.plane))
     for energy in rod.energies or ():
@@ -113,10 +119,16 @@ def joined(a, b):
     return jnp.concatenate([jnp.broadcast_to(x, (*points, x.shape[-1])) for x in (a, b)], -1)
 
 
-def recover_strain(problem: LocalProblem, guess: Strain) -> tuple[Strain, Bool[Array, ""]]:
-    """Strains (v, u), (*points, 6), and whether every point has a solution."""
+def recover_strain(
+    problem: LocalProblem, guess: Float[Array, "*#points strain"] | None
+) -> tuple[Strain, Bool[Array, ""]]:
+    """Strains (v, u), (*points, 6), and whether every point has a solution.
+
+    `guess`: where the search starts; it may be `None` where the answer is explicit.
+    """
     if problem.explicit:
         return problem.b / problem.k, jnp.array(True)
+    assert guess is not None, "a problem with terms needs a start"
     x, converged = _minimise(problem, jax.lax.stop_gradient(guess))
     return x, jnp.all(converged)
 
@@ -140,9 +152,10 @@ def compliance(problem: LocalProblem, strain: Strain):
     return _inverse(_hessian(problem, strain))
 
 
-def shortest_path(rod: Rod, strain: Float[Array, "points 6"]):
+def shortest_path(rod: Rod, strain: Strain):
     """The least |v + u x r_i| of any tendon anywhere: 0 where it has no length left."""
     v = rod.v_star if rod.K_se is None else None
+    assert rod.tau is not None and rod.r is not None, "a rod with tendons"
     _, length = TendonPull(rod.tau, rod.r, rod.r_s, v).paths(strain)
     # A tendon that is not there may have any.
     return jnp.min(length if rod.tau.ndim == 1 else jnp.where(rod.tau > 0.0, length, jnp.inf))
@@ -204,6 +217,7 @@ _STEP_LENGTHS = np.array([1.0, 0.25, 0.0625, 0.015625, 1e-3])
 def _minimise(problem: LocalProblem, guess):
     """Damped Newton from `guess`: strains and, per point, whether they solve the problem."""
     scale = problem.sizes
+    assert scale is not None, "a problem with terms"
 
     def cond(state):
         _, size, i = state
@@ -228,7 +242,7 @@ def _minimise(problem: LocalProblem, guess):
     return x, size <= _CONVERGED
 
 
-@_minimise.defjvp
+@_minimise.defjvp  # pyright: ignore[reportArgumentType]  # JAX takes float0 from numpy only
 def _minimise_jvp(primals, tangents):
     problem, guess = primals
     x, converged = _minimise(problem, guess)

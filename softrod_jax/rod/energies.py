@@ -20,7 +20,8 @@ from softrod_jax.rod.rotations import cross, hats
 from softrod_jax.scene.acting import AbstractEnergy
 from softrod_jax.scene.planes import in_space
 
-Strain = Float[Array, "*points 6"]
+# (v, u), or u where v is given: 6, 3, or in a plane 3 and 1 numbers.
+Strain = Float[Array, "*points strain"]
 
 
 class AbstractTerm(eqx.Module):
@@ -35,12 +36,12 @@ class AbstractTerm(eqx.Module):
         """Its derivative by x: [N] and [N m]."""
 
     @abc.abstractmethod
-    def hessian(self, x: Strain) -> Float[Array, "*points n n"]:
+    def hessian(self, x: Strain) -> Float[Array, "*points strain strain"]:
         """Its second derivative."""
 
     @property
     @abc.abstractmethod
-    def reach(self):
+    def reach(self) -> Float[Array, ""]:
         """A distance from the axis [m]: curvatures matter where they bend this far."""
 
 
@@ -53,15 +54,15 @@ class TendonPull(AbstractTerm):
     """
 
     tau: Float[Array, "... tendons"]
-    r: Float[Array, "... tendons 3"]
-    r_s: Float[Array, "... tendons 3"] | None = None
-    v: Float[Array, "... 3"] | None = None
+    r: Float[Array, "... tendons vector"]
+    r_s: Float[Array, "... tendons vector"] | None = None
+    v: Float[Array, "... vector"] | None = None
     viscosity: Float[Array, "... tendons"] | None = None
     c0: Float[Array, ""] | None = None
-    l_h: Float[Array, "*points tendons 3"] | None = None
+    l_h: Float[Array, "*points tendons vector"] | None = None
 
     @property
-    def reach(self):
+    def reach(self) -> Float[Array, ""]:
         return jnp.max(jnp.abs(self.r))
 
     def paths(self, x: Strain):
@@ -92,7 +93,7 @@ class TendonPull(AbstractTerm):
     def value(self, x):
         l, length = self.paths(x)
         energy = jnp.sum(self.tau * length, -1)
-        if self.viscosity is None:
+        if self.viscosity is None or self.c0 is None:
             return energy
         _, rate = self._rates(l)
         return energy + jnp.sum(self.viscosity * rate**3, -1) / (3 * self.c0)
@@ -114,7 +115,7 @@ class TendonPull(AbstractTerm):
         eye, outer = jnp.eye(l.shape[-1]), lambda a: a[..., :, None] * a[..., None, :]
         t = l / length[..., None]
         M = (self.tau / length)[..., None, None] * (eye - outer(t))
-        if self.viscosity is not None:
+        if self.viscosity is not None and self.c0 is not None:
             l_t, rate = self._rates(l)
             rate = rate[..., None, None]
             drag = self.c0 * self.viscosity[..., None, None]
@@ -140,11 +141,11 @@ class Density(AbstractTerm):
     s: Float[Array, "..."]
     radius: Float[Array, ""]
     factor: Float[Array, ""] | None = None
-    v: Float[Array, "... 3"] | None = None
+    v: Float[Array, "... vector"] | None = None
     plane: str | None = eqx.field(static=True, default=None)
 
     @property
-    def reach(self):
+    def reach(self) -> Float[Array, ""]:
         return self.radius
 
     def _at_point(self, x, v, s):

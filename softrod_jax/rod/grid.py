@@ -13,9 +13,9 @@ import math
 from typing import NamedTuple
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.core import Tracer
 from jaxtyping import Array, Float, Int
 
 from softrod_jax.scene.scene import Scene
@@ -101,6 +101,11 @@ class Grid(eqx.Module):
         return (self.s.shape[0] - 1) // self.stride
 
     @property
+    def gaps(self) -> np.ndarray:
+        """The numbers of the intervals of no length, where something jumps."""
+        return np.arange(0) if self.division is None else self.division.gaps
+
+    @property
     def widest(self) -> Scalar:
         """The largest distance of two points [m]."""
         return jnp.max(self.h) / self.stride
@@ -159,7 +164,7 @@ def divide(scene: Scene, intervals: int) -> Division | None:
     places = places_of(scene)
     if not places.values and not _has_own_intervals(scene):
         return None
-    if any(isinstance(x, jax.core.Tracer) for x in (*places.values, scene.length)):
+    if any(isinstance(x, Tracer) for x in (*places.values, scene.length)):
         count = max(_LEAST, math.ceil(intervals / (len(places.values) + 1)))
         return Division((count,) * (len(places.values) + 1))
     length = float(scene.length)

@@ -17,7 +17,7 @@ def seen(
     """The poses of all markers and of the tip; arguments as of `pose_between`, or one a time."""
     poses = {"tip": Pose(positions[..., -1, :], quaternions[..., -1, :])}
     for marker in scene.markers or ():
-        at = lambda *shape, marker=marker: pose_between(shape[0], nodes, *shape[1:], marker.at)
+        at = lambda strain, p, q, at=marker.at: pose_between(strain, nodes, p, q, at)
         if positions.ndim > 2:
             at = jax.vmap(at)
         pose = at(strain, positions, quaternions)

@@ -26,7 +26,7 @@ is inextensible are u alone; v is v*.
 """
 
 import functools
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
@@ -50,8 +50,8 @@ class History(NamedTuple):
     """
 
     c0: Float[Array, ""]
-    strain: Float[Array, "*points 6"]
-    velocity: Float[Array, "*points 6"]
+    strain: Float[Array, "*points strain"]
+    velocity: Float[Array, "*points pair"]
 
 
 class Layout(eqx.Module):
@@ -102,15 +102,15 @@ class Layout(eqx.Module):
     def size(self) -> int:
         return self.base_size + self.pair
 
-    def split(self, y: Points):
-        """(h, q, omega, N, M); None for a part that is absent."""
+    def split(self, y: Points) -> tuple[Any, Any, Any, Array, Array]:
+        """(h, q, omega, N, M); None for one of the first three that is absent."""
         i = self.pose_size
         h = y[..., i - self.attitude_size : i] if self.attitude else None
         j, k = i + self.vector, i + self.pair
         q, w = (y[..., i:j], y[..., j:k]) if self.dynamic else (None, None)
         return h, q, w, y[..., -self.pair : -self.turn], y[..., -self.turn :]
 
-    def split_strain(self, strain: Points):
+    def split_strain(self, strain: Float[Array, "*points strain"]) -> tuple[Any, Array]:
         """(v, u); None for v where the rod is inextensible."""
         if self.inextensible:
             return None, strain
@@ -135,11 +135,17 @@ class Rates(NamedTuple):
     """What the ODE gives at a point: dy/ds, the strains (v, u), and if those exist."""
 
     y_s: Points
-    strain: Float[Array, "*points 6"]
+    strain: Float[Array, "*points strain"]
     solvable: Bool[Array, ""]
 
 
-def rod_ode(y: Points, rod: Rod, layout: Layout, history: History | None, guess: Points) -> Rates:
+def rod_ode(
+    y: Points,
+    rod: Rod,
+    layout: Layout,
+    history: History | None,
+    guess: Float[Array, "*#points strain"],
+) -> Rates:
     """dy/ds, for one point or for many: where numbers of the rod vary, for those of its points.
 
     `guess` (*points, 6): strains from which the pointwise solve starts (tendons only); the
@@ -159,8 +165,8 @@ class Jacobian(NamedTuple):
     """
 
     state: Float[Array, "*points n n"]
-    compliance: Float[Array, "*points 6 6"]
-    wrench: Float[Array, "*points n 6"]
+    compliance: Float[Array, "*points strain strain"]
+    wrench: Float[Array, "*points n strain"]
 
 
 def rod_ode_jacobian(
@@ -335,6 +341,8 @@ def _blocks(rows):
 
 def distributed(base_part, rod: Rod, layout: Layout, of=lambda f: f, shape="(i)"):
     """The loads of users per unit of rod in the body frame, (*points, 6), or their derivative."""
+    loads, factor = rod.distributed_loads or (), rod.load_factor
+    assert loads and factor is not None, "a rod with such loads"
 
     def at_point(base_part, s):
         h, q, w, _, _ = layout.split(jnp.concatenate([base_part, jnp.zeros(layout.pair)]))
@@ -343,9 +351,10 @@ def distributed(base_part, rod: Rod, layout: Layout, of=lambda f: f, shape="(i)"
         moving = in_space(moving, rod.plane)
         p = _position_in_space(base_part, rod, layout) if layout.position else None
         here = Here(s, quaternion_in(rod.plane, h), moving[:3], moving[3:], p)
-        f, l = (sum(x) for x in zip(*(load.wrench(here) for load in rod.distributed_loads)))
+        wrenches = [load.wrench(here) for load in loads]
+        f, l = (sum(parts, jnp.zeros(3)) for parts in zip(*wrenches))
         applied = jnp.concatenate([vector_in(rod.plane, f), turn_in(rod.plane, l)])
-        return rod.load_factor * applied
+        return factor * applied
 
     return jnp.vectorize(of(at_point), signature=f"(n),()->{shape}")(base_part, rod.s)
 

@@ -11,9 +11,10 @@ is not taken sees a safe argument ("double where"), so that no derivative is NaN
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-Vector = Float[Array, "*batch 3"]
-Quaternion = Float[Array, "*batch 4"]
-Matrix = Float[Array, "*batch 3 3"]
+# What two arguments have beside their components is broadcast.
+Vector = Float[Array, "*#batch 3"]
+Quaternion = Float[Array, "*#batch 4"]
+Matrix = Float[Array, "*#batch 3 3"]
 
 # Below this squared angle the series to angle^8 is exact to rounding in float64.
 _SMALL = 1e-2
@@ -28,7 +29,9 @@ def hat(a: Vector) -> Matrix:
     )
 
 
-def hats(a) -> tuple[Matrix, Matrix]:
+def hats(
+    a: Float[Array, "*batch n"],
+) -> tuple[Float[Array, "*batch _ vector"], Float[Array, "*batch _ turn"]]:
     """The matrices of `a x` for vectors and for turns: one and the same, but in a plane."""
     if a.shape[-1] == 3:
         matrix = hat(a)
@@ -42,7 +45,7 @@ def hats(a) -> tuple[Matrix, Matrix]:
     return rows([z, -x]), rows([-z], [x])
 
 
-def cross(a: Vector, b: Vector) -> Vector:
+def cross(a: Float[Array, "*#batch n"], b: Float[Array, "*#batch m"]) -> Float[Array, "*#batch k"]:
     """a x b, in components (jnp.cross compiles to gathers)."""
     if a.shape[-1] < 3:
         return _cross_in_plane(a, b)
@@ -91,7 +94,9 @@ def rotation_matrix(h: Quaternion) -> Matrix:
     )
 
 
-def to_body(h: Quaternion, a: Vector) -> Vector:
+def to_body(
+    h: Float[Array, "*#batch attitude"], a: Float[Array, "*#batch vector"]
+) -> Float[Array, "*#batch vector"]:
     """R(h)^T a: a vector of the base frame, seen from the body."""
     if h.shape[-1] == 1:
         c, s, x, z = jnp.cos(h), jnp.sin(h), a[..., :1], a[..., 1:]
@@ -102,7 +107,9 @@ def to_body(h: Quaternion, a: Vector) -> Vector:
     return a - k * (w * c - cross(r, c))
 
 
-def to_base(h: Quaternion, a: Vector) -> Vector:
+def to_base(
+    h: Float[Array, "*#batch attitude"], a: Float[Array, "*#batch vector"]
+) -> Float[Array, "*#batch vector"]:
     """R(h) a: a vector of the body frame, seen from the base."""
     if h.shape[-1] == 1:
         return to_body(-h, a)

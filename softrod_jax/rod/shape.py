@@ -22,8 +22,8 @@ BOOLE = np.array([7, 32, 12, 32, 7]) / 90
 def integrate_shape(
     strain: Float[Array, "points 6"],
     h: Float[Array, "..."],
-    base_position: Float[Array, "3"],
-    base_quaternion: Float[Array, "4"],
+    base_position: Float[Array | np.ndarray, "3"],
+    base_quaternion: Float[Array | np.ndarray, "4"],
     inner_points: np.ndarray,
     weights: np.ndarray,
 ):

@@ -14,7 +14,9 @@ from softrod_jax.scene.inputs import Inputs
 from softrod_jax.scene.scene import Scene
 
 
-def usable(scene: Scene, good=True, inputs: Inputs = Inputs()) -> tuple[Scene, Bool[Array, ""]]:
+def usable(
+    scene: Scene, good: Bool[Array, ""] | bool = True, inputs: Inputs = Inputs()
+) -> tuple[Scene, Bool[Array, ""]]:
     """The scene, and whether all its numbers can be; where one cannot, a harmless scene.
 
     `good`: whether all else can be. `inputs`: constant ones. A rod whose

@@ -2,8 +2,8 @@
 
 import equinox as eqx
 import jax.numpy as jnp
-from jaxtyping import Array, Float
 
+from softrod_jax.foundation.numbers import Given, ManyLike, RowsLike
 from softrod_jax.scene.ranges import number
 from softrod_jax.scene.tendons import Each, check_each, part_of
 
@@ -17,10 +17,10 @@ class Chambers(eqx.Module):
       base and for the tip.
     """
 
-    areas: Float[Array, "chambers"] = number(
+    areas: Given[ManyLike] = number(
         "m^2", above=0, per_actuator=True, harmless=0.01, converter=jnp.asarray
     )
-    offsets: Float[Array, "chambers 2"] = number(
+    offsets: Given[RowsLike] = number(
         "m", sizes=(2,), per_actuator=True, harmless=0.01, converter=jnp.asarray
     )
     starts_at: Each | None = number("m", each=True, at_least=0)

@@ -13,6 +13,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.core import Tracer
 from jaxtyping import Array, Bool
 
 from softrod_jax.foundation.tracing import is_traced
@@ -121,8 +122,9 @@ def _outside(scene: Scene) -> list[tuple[str, Any, str]]:
 def rules_of(scene: Scene) -> Iterator[Rule]:
     """All that must hold between the numbers of a scene, which may be traced."""
     for prefix, owner in _owners(scene, "rod"):
-        if hasattr(type(owner), "relations"):
-            for name, holds, expected in owner.relations():
+        relations = getattr(type(owner), "relations", None)
+        if relations is not None:
+            for name, holds, expected in relations(owner):
                 yield Rule(f"{prefix}.{name}", getattr(owner, name), holds, expected)
     yield from arc_lengths(scene)
 
@@ -227,4 +229,4 @@ def _unfit(part: Part) -> Iterator[tuple[str, Any]]:
 
 def _is_traced(value) -> bool:
     """Unlike `is_traced`, of a number that is given and not of what is made with it."""
-    return any(isinstance(x, jax.core.Tracer) for x in jax.tree.leaves(value))
+    return any(isinstance(x, Tracer) for x in jax.tree.leaves(value))

@@ -10,6 +10,7 @@ from os import PathLike
 from pathlib import Path
 
 import jax
+from jax.core import Tracer
 
 from softrod_jax.foundation.precision import require_float64
 from softrod_jax.foundation.whole_files import whole_file
@@ -65,7 +66,7 @@ def save_scene(scene: Scene, path: str | PathLike) -> None:
     Raises `SceneError` if the scene could not be read back (an impossible value, a batch of
     scenes, tendons or paths of a class of one's own) and `OSError` if the file cannot be written.
     """
-    if any(isinstance(x, jax.core.Tracer) for x in jax.tree.leaves(scene)):
+    if any(isinstance(x, Tracer) for x in jax.tree.leaves(scene)):
         raise SceneError(f"{path}: the scene is traced and has no numbers yet; save it outside jit")
     with jax.ensure_compile_time_eval():
         for key, value, remedy in impossible(scene):

@@ -6,8 +6,10 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.core import Tracer
 from jaxtyping import Array, Bool, Float
 
+from softrod_jax.foundation.numbers import ManyLike, RowsLike
 from softrod_jax.scene.scene import Scene
 
 
@@ -18,8 +20,8 @@ class Inputs(NamedTuple):
     out of the program. What handles inputs handles this pytree; only their physics knows names.
     """
 
-    tensions: Float[Array, "*steps tendons"] | None = None
-    pressures: Float[Array, "*steps chambers"] | None = None
+    tensions: ManyLike | RowsLike | None = None
+    pressures: ManyLike | RowsLike | None = None
 
 
 class _Kind(NamedTuple):
@@ -31,7 +33,8 @@ class _Kind(NamedTuple):
     reason: str = ""
 
 
-_KINDS = Inputs(
+# Those of the inputs, in their order.
+_KINDS = (
     _Kind("tendons", "N", 0.0, "a tendon can only pull"),
     _Kind("chambers", "Pa"),
 )
@@ -90,7 +93,7 @@ def filled(scene: Scene, inputs: Inputs, rows: tuple[int, ...] = ()) -> Inputs:
 
 def _is_number(given) -> bool:
     """Whether it is known now; what becomes of it under `jit` is not."""
-    return not any(isinstance(x, jax.core.Tracer) for x in jax.tree.leaves(given))
+    return not any(isinstance(x, Tracer) for x in jax.tree.leaves(given))
 
 
 def time_step(who: str, dt) -> Float[Array, ""]:
@@ -121,6 +124,7 @@ def good_inputs(inputs: Inputs) -> Bool[Array, "*rows"]:
     good = jnp.array(True)
     for kind, values in zip(_KINDS, inputs, strict=True):
         if values is not None:
+            values = jnp.asarray(values)
             good &= jnp.all(jnp.isfinite(values) & (values >= kind.at_least), axis=-1)
     return good
 

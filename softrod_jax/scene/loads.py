@@ -2,11 +2,9 @@
 
 import equinox as eqx
 import jax.numpy as jnp
-from jaxtyping import Array, Float
 
+from softrod_jax.foundation.numbers import Given, Maybe, ScalarLike, VectorLike
 from softrod_jax.scene.ranges import number
-
-Scalar = Float[Array, ""]
 
 FRAMES = ("base", "body")
 # Zero of these means that there are none.
@@ -16,14 +14,14 @@ DEAD_LOAD = {"optional": True, "sizes": (3,), "zero_is_absent": True}
 class Payload(eqx.Module):
     """A point mass [kg] on the axis at the tip: weight (if there is gravity) and inertia."""
 
-    mass: Scalar = number("kg", at_least=0, zero_is_absent=True, converter=jnp.asarray)
+    mass: Given[ScalarLike] = number("kg", at_least=0, zero_is_absent=True, converter=jnp.asarray)
 
 
 class TipLoad(eqx.Module):
     """Dead loads at the tip, in the base frame: `force` [N] and `moment` [N m], (3,) each."""
 
-    force: Float[Array, "3"] | None = number("N", **DEAD_LOAD)
-    moment: Float[Array, "3"] | None = number("N m", **DEAD_LOAD)
+    force: Maybe[VectorLike] = number("N", **DEAD_LOAD)
+    moment: Maybe[VectorLike] = number("N m", **DEAD_LOAD)
 
 
 class Load(eqx.Module):
@@ -33,9 +31,9 @@ class Load(eqx.Module):
     for any other.
     """
 
-    at: Scalar = number("m", at_least=0, harmless=0.5)
-    force: Float[Array, "3"] | None = number("N", **DEAD_LOAD)
-    moment: Float[Array, "3"] | None = number("N m", **DEAD_LOAD)
+    at: Given[ScalarLike] = number("m", at_least=0, harmless=0.5)
+    force: Maybe[VectorLike] = number("N", **DEAD_LOAD)
+    moment: Maybe[VectorLike] = number("N m", **DEAD_LOAD)
     frame: str = eqx.field(static=True, default="base")
 
     def __check_init__(self):
@@ -46,13 +44,13 @@ class Load(eqx.Module):
 class Mass(eqx.Module):
     """A point mass [kg] on the axis at arc length `at` [m]: weight and inertia."""
 
-    at: Scalar = number("m", at_least=0, harmless=0.5)
-    mass: Scalar = number("kg", at_least=0)
+    at: Given[ScalarLike] = number("m", at_least=0, harmless=0.5)
+    mass: Given[ScalarLike] = number("kg", at_least=0)
 
 
 class Marker(eqx.Module):
     """A point that is seen: at arc length `at` [m], `offset` [m] in the frame of the section."""
 
     name: str = eqx.field(static=True)
-    at: Scalar = number("m", at_least=0, harmless=0.5)
-    offset: Float[Array, "3"] | None = number("m", optional=True, sizes=(3,))
+    at: Given[ScalarLike] = number("m", at_least=0, harmless=0.5)
+    offset: Maybe[VectorLike] = number("m", optional=True, sizes=(3,))

@@ -72,8 +72,10 @@ def outside_sections(scene: Scene) -> Iterator[tuple[str, Any, str]]:
     if type(tendons) is Tendons and not _all_inside(scene, tendons):
         for i in range(tendons.count):
             if tendons.guides[i] == "rod":
-                yield from _tendon_outside(scene, stretches, i)
-    for i in () if chambers is None else range(chambers.count):
+                yield from _tendon_outside(scene, tendons, stretches, i)
+    if chambers is None:
+        return
+    for i in range(chambers.count):
         offset, area = chambers.offsets[i], chambers.areas[i]
         key, part = f"chambers[{i}]", _part(chambers, i, scene.length)
         found = _first_outside(stretches, part, lambda s, x=offset: x, straight=True)
@@ -115,8 +117,7 @@ def _part(actuators, i: int, length) -> tuple[float, float]:
     return 0.0 if start is None else float(start), float(length if end is None else end)
 
 
-def _tendon_outside(scene: Scene, stretches, i: int):
-    tendons = scene.tendons
+def _tendon_outside(scene: Scene, tendons: Tendons, stretches, i: int):
     straight = tendons.path(i) is None
     place = lambda s: (
         tendons.offsets[i] if straight else np.asarray(tendons.place(i, s, scene.length))

@@ -10,11 +10,11 @@ are traced.
 """
 
 from collections.abc import Iterator
-from typing import NamedTuple
+from typing import NamedTuple, overload
 
-import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.core import Tracer
 from jaxtyping import Array, Bool, Float
 
 from softrod_jax.scene.scene import PLANES, Scene
@@ -24,21 +24,39 @@ from softrod_jax.scene.tendons import Tendons
 _ROUNDING = 1e-12
 
 
-def vector_in(plane: str | None, a: Float[Array, "*points 3"] | None):
+@overload
+def vector_in(plane: str | None, a: Array) -> Array: ...
+@overload
+def vector_in(plane: str | None, a: None) -> None: ...
+def vector_in(
+    plane: str | None, a: Float[Array, "*points 3"] | None
+) -> Float[Array, "*points vector"] | None:
     """The components of a vector, or of numbers along the axes, that remain; all if no plane."""
     if plane is None or a is None:
         return a
     return jnp.stack([a[..., PLANES.index(plane)], a[..., 2]], -1)
 
 
-def turn_in(plane: str | None, a: Float[Array, "*points 3"] | None):
+@overload
+def turn_in(plane: str | None, a: Array) -> Array: ...
+@overload
+def turn_in(plane: str | None, a: None) -> None: ...
+def turn_in(
+    plane: str | None, a: Float[Array, "*points 3"] | None
+) -> Float[Array, "*points turn"] | None:
     """The component of a turn that remains; all if no plane."""
     if plane is None or a is None:
         return a
     return a[..., 1:2] if plane == "xz" else -a[..., :1]
 
 
-def about_normal(plane: str | None, a: Float[Array, "n"] | None):
+@overload
+def about_normal(plane: str | None, a: Array) -> Array: ...
+@overload
+def about_normal(plane: str | None, a: None) -> None: ...
+def about_normal(
+    plane: str | None, a: Float[Array, "*points n"] | None
+) -> Float[Array, "*points turn"] | None:
     """Of numbers for turns about x, y (and z), that about the normal; all if no plane."""
     if plane is None or a is None:
         return a
@@ -74,7 +92,7 @@ class _Part(NamedTuple):
     """A number of the scene by its key in a scene file, and its components off the plane."""
 
     key: str
-    value: Array
+    value: Array | np.ndarray
     off: tuple[int, ...]
     names: str
 
@@ -125,7 +143,7 @@ def _routes(scene: Scene):
                 )
 
 
-def _off_plane(part: _Part, module) -> Bool[Array, "*rows"]:
+def _off_plane(part: _Part, module) -> Bool[Array | np.ndarray, "*rows"] | np.bool:
     """Whether it leaves the plane, of each row; `module` is numpy or jax.numpy."""
     size = module.abs(part.value)
     limit = _ROUNDING * module.max(size)
@@ -148,7 +166,7 @@ def misfits(scene: Scene) -> Iterator[tuple[str, object, str]]:
     if scene.plane is None:
         return
     for part in _parts(scene):
-        if isinstance(part.value, jax.core.Tracer):
+        if isinstance(part.value, Tracer):
             continue
         value = np.asarray(part.value)
         rows = np.atleast_1d(np.argwhere(_off_plane(part._replace(value=value), np)))
@@ -169,7 +187,7 @@ def _without_meaning(scene: Scene) -> Iterator[tuple[str, object, str]]:
         for name in ("shear_damping", "shear_correction"):
             value = getattr(owner, name)
             if value is not None:
-                shown = value if isinstance(value, jax.core.Tracer) else np.asarray(value).tolist()
+                shown = value if isinstance(value, Tracer) else np.asarray(value).tolist()
                 yield (
                     f"{key}.{name}",
                     shown,

@@ -9,6 +9,7 @@ import dataclasses
 import equinox as eqx
 import jax
 import numpy as np
+from jax.core import Tracer
 
 from softrod_jax.scene.ranges import ANY, Number, numbers_of
 
@@ -82,7 +83,7 @@ def _value(value, number: Number) -> str:
 
 def _quantity(value, number: Number) -> str:
     unit = f" {number.unit}" if number.unit else ""
-    if any(isinstance(x, jax.core.Tracer) for x in jax.tree.leaves(value)):
+    if any(isinstance(x, Tracer) for x in jax.tree.leaves(value)):
         return f"traced, of shape {np.shape(value)}{unit}"
     try:
         array = np.asarray(value, dtype=float)
@@ -96,7 +97,7 @@ def _quantity(value, number: Number) -> str:
     return f"{np.min(array):.6g} to {np.max(array):.6g}{unit}, of shape {array.shape}"
 
 
-def _plain(array: np.ndarray) -> str:
+def _plain(array: np.ndarray | np.floating) -> str:
     if array.ndim == 0:
         return f"{float(array):.6g}"
     return "[" + ", ".join(_plain(x) for x in array) + "]"
@@ -106,7 +107,7 @@ def _has_rows(part) -> bool:
     """Whether it is of several actuators, with a row of known numbers for each."""
     rows = [n for n, number in numbers_of(type(part)).items() if number.per_actuator]
     values = [getattr(part, name) for name in rows]
-    if not rows or any(isinstance(x, jax.core.Tracer) for x in jax.tree.leaves(values)):
+    if not rows or any(isinstance(x, Tracer) for x in jax.tree.leaves(values)):
         return False
     ranges = numbers_of(type(part))
     shapes = [np.shape(x) for x in values]

@@ -1,6 +1,8 @@
 """What the tables of a scene file become: a checked `Scene`, or an error that names the key."""
 
 import dataclasses
+from collections.abc import Callable, Mapping
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -94,7 +96,9 @@ def _section(table: dict, where: str):
     return jax.tree.map(jnp.asarray, _of_shape(table, schema.SHAPE, schema.SECTIONS, where))
 
 
-def _of_shape(table: dict, word: schema.Word, kinds: dict, where: str):
+def _of_shape(
+    table: dict, word: schema.Word, kinds: Mapping[Any, tuple[Callable, schema.Schema]], where: str
+):
     """A section or a path: one of several classes, by the table's `shape`."""
     if "shape" not in table:
         raise SceneError(f"{where}.shape is missing: expected one of {', '.join(kinds)}")

@@ -2,13 +2,14 @@
 
 import jax.numpy as jnp
 
+from softrod_jax.foundation.numbers import ScalarLike, VectorLike
 from softrod_jax.scene.chambers import Chambers
 from softrod_jax.scene.scene import Scene, as_arrays
 from softrod_jax.scene.sections import Circle
 from softrod_jax.scene.tendons import Tendons
 
 
-def hybrid_robot(length: float = 0.1, gravity=None) -> Scene:
+def hybrid_robot(length: ScalarLike = 0.1, gravity: VectorLike | None = None) -> Scene:
     """The robot of Roshanfar et al., Actuators 2024, 13(1):8, Table 1.
 
     Three tendons 4 mm off the axis at 0, 120 and 240 degrees, one central chamber of 3 mm

@@ -6,12 +6,20 @@ SI units. The rod lies along z of the base frame when it is straight.
 """
 
 import dataclasses
+from collections.abc import Sequence
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float
 
+from softrod_jax.foundation.numbers import (
+    DiagonalLike,
+    Given,
+    Maybe,
+    QuaternionLike,
+    ScalarLike,
+    VectorLike,
+)
 from softrod_jax.scene.acting import AbstractDistributedLoad, AbstractEnergy
 from softrod_jax.scene.chambers import Chambers
 from softrod_jax.scene.loads import DEAD_LOAD, Load, Marker, Mass, Payload, TipLoad
@@ -20,8 +28,6 @@ from softrod_jax.scene.ranges import number, numbers_of
 from softrod_jax.scene.sections import Section
 from softrod_jax.scene.segments import DAMPING, Segment, Stiffness
 from softrod_jax.scene.tendons import Tendons
-
-Scalar = Float[Array, ""]
 
 # The planes that a scene may be in: across the rod, and along it.
 PLANES = ("xz", "yz")
@@ -60,38 +66,37 @@ class Scene(eqx.Module):
     the numbers can be is checked by the calls that use them: see `checks.py`.
     """
 
-    length: Scalar | None = number("m", optional=True, above=0, harmless=1.0)
+    # None where there are segments, until their sum is known.
+    length: Given[ScalarLike | None] = number("m", optional=True, above=0, harmless=1.0)
     section: Section | None = None
-    young_modulus: Scalar | None = number("Pa", optional=True, above=0, harmless=1.0)
-    poisson_ratio: Scalar | None = number(optional=True, above=-1, below=0.5)
-    density: Scalar | None = number("kg/m^3", optional=True, above=0, harmless=1.0)
-    bending_damping: Float[Array, "..."] | None = number("N m^2 s", **DAMPING)
-    shear_damping: Float[Array, "..."] | None = number("N s", **DAMPING)
-    gravity: Float[Array, "3"] | None = number("m/s^2", **DEAD_LOAD)
-    drag_coefficient: Float[Array, "..."] | None = number("kg/m^2", **DAMPING)
+    young_modulus: Maybe[ScalarLike] = number("Pa", optional=True, above=0, harmless=1.0)
+    poisson_ratio: Maybe[ScalarLike] = number(optional=True, above=-1, below=0.5)
+    density: Maybe[ScalarLike] = number("kg/m^3", optional=True, above=0, harmless=1.0)
+    bending_damping: Maybe[DiagonalLike] = number("N m^2 s", **DAMPING)
+    shear_damping: Maybe[DiagonalLike] = number("N s", **DAMPING)
+    gravity: Maybe[VectorLike] = number("m/s^2", **DEAD_LOAD)
+    drag_coefficient: Maybe[DiagonalLike] = number("kg/m^2", **DAMPING)
     tendons: Tendons | None = None
     chambers: Chambers | None = None
     payload: Payload | None = None
     tip_load: TipLoad | None = None
-    shear_correction: Scalar | None = number(optional=True, above=0, harmless=1.0)
-    rest_curvature: Float[Array, "3"] | None = number("1/m", optional=True, sizes=(3,))
-    rest_stretch: Float[Array, "3"] | None = number(
-        optional=True, sizes=(3,), harmless=(0.0, 0.0, 1.0)
-    )
-    base_position: Float[Array, "3"] | None = number("m", optional=True, sizes=(3,))
-    base_quaternion: Float[Array, "4"] | None = number(
+    shear_correction: Maybe[ScalarLike] = number(optional=True, above=0, harmless=1.0)
+    rest_curvature: Maybe[VectorLike] = number("1/m", optional=True, sizes=(3,))
+    rest_stretch: Maybe[VectorLike] = number(optional=True, sizes=(3,), harmless=(0.0, 0.0, 1.0))
+    base_position: Maybe[VectorLike] = number("m", optional=True, sizes=(3,))
+    base_quaternion: Maybe[QuaternionLike] = number(
         optional=True, sizes=(4,), harmless=(1.0, 0.0, 0.0, 0.0)
     )
-    segments: tuple[Segment, ...] | None = None
+    segments: Sequence[Segment] | None = None
     section_at_end: Section | None = None
     stiffness: Stiffness | None = None
-    linear_density: Scalar | None = number("kg/m", optional=True, above=0, harmless=1.0)
-    loads: tuple[Load, ...] | None = None
-    masses: tuple[Mass, ...] | None = None
-    markers: tuple[Marker, ...] | None = None
+    linear_density: Maybe[ScalarLike] = number("kg/m", optional=True, above=0, harmless=1.0)
+    loads: Sequence[Load] | None = None
+    masses: Sequence[Mass] | None = None
+    markers: Sequence[Marker] | None = None
     material: AbstractEnergy | None = None
-    energies: tuple[AbstractEnergy, ...] | None = None
-    distributed_loads: tuple[AbstractDistributedLoad, ...] | None = None
+    energies: Sequence[AbstractEnergy] | None = None
+    distributed_loads: Sequence[AbstractDistributedLoad] | None = None
     inextensible: bool = eqx.field(static=True, default=False)
     plane: str | None = eqx.field(static=True, default=None)
 
@@ -143,9 +148,12 @@ class Scene(eqx.Module):
         return dataclasses.replace(segment, **shared)
 
     @property
-    def shear_modulus(self) -> Scalar:
+    def shear_modulus(self) -> ScalarLike:
         """G = E / (2 (1 + nu)) [Pa]."""
-        return self.young_modulus / (2 * (1 + self.poisson_ratio))
+        E, nu = self.young_modulus, self.poisson_ratio
+        if E is None or nu is None:
+            raise ValueError("Scene: shear_modulus needs young_modulus and poisson_ratio")
+        return E / (2 * (1 + nu))
 
 
 # What segments have in common unless they say otherwise.
@@ -164,7 +172,7 @@ SHARED = (
 )
 
 
-def total_length(segments: tuple[Segment, ...]) -> Scalar | None:
+def total_length(segments: Sequence[Segment]) -> ScalarLike | None:
     """The sum of their lengths [m]; `None` where one is no number, which `checks.py` refuses."""
     try:
         return sum(segment.length for segment in segments)

@@ -223,7 +223,7 @@ MARKER: Schema = {"name": Text(required=True), **_numbers_of(Marker)}
 PAYLOAD, TIP_LOAD = _numbers_of(Payload), _numbers_of(TipLoad)
 
 
-def read_table(table: dict, schema: Schema, where: str) -> dict:
+def read_table(table: dict, schema: Schema, where: str) -> dict[str, Any]:
     """The values of `table`, checked against `schema`; keys that are absent are left out.
 
     `where` is the file and the path of the table in it, the beginning of every message. Raises

@@ -19,18 +19,17 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from softrod_jax.foundation.numbers import Given, PairLike, ScalarLike
 from softrod_jax.scene.ranges import number
-
-Scalar = Float[Array, ""]
 
 
 class Circle(eqx.Module):
     """A solid circle."""
 
-    radius: Scalar = number("m", above=0, harmless=0.1)
+    radius: Given[ScalarLike] = number("m", above=0, harmless=0.1)
 
     @property
-    def area(self) -> Scalar:
+    def area(self) -> ScalarLike:
         return jnp.pi * self.radius**2
 
     @property
@@ -38,7 +37,7 @@ class Circle(eqx.Module):
         return jnp.pi * self.radius**4 / 4 * jnp.ones(2)
 
     @property
-    def torsion_constant(self) -> Scalar:
+    def torsion_constant(self) -> ScalarLike:
         return jnp.pi * self.radius**4 / 2
 
     def contains(self, offset):
@@ -48,11 +47,11 @@ class Circle(eqx.Module):
 class Annulus(eqx.Module):
     """A tube."""
 
-    outer_radius: Scalar = number("m", above=0, harmless=0.1)
-    inner_radius: Scalar = number("m", at_least=0, harmless=0.05)
+    outer_radius: Given[ScalarLike] = number("m", above=0, harmless=0.1)
+    inner_radius: Given[ScalarLike] = number("m", at_least=0, harmless=0.05)
 
     @property
-    def area(self) -> Scalar:
+    def area(self) -> ScalarLike:
         return jnp.pi * (self.outer_radius**2 - self.inner_radius**2)
 
     @property
@@ -60,7 +59,7 @@ class Annulus(eqx.Module):
         return jnp.pi * (self.outer_radius**4 - self.inner_radius**4) / 4 * jnp.ones(2)
 
     @property
-    def torsion_constant(self) -> Scalar:
+    def torsion_constant(self) -> ScalarLike:
         return jnp.pi * (self.outer_radius**4 - self.inner_radius**4) / 2
 
     def relations(self):
@@ -77,11 +76,11 @@ class Annulus(eqx.Module):
 class Rectangle(eqx.Module):
     """A rectangle, `width` along x and `height` along y."""
 
-    width: Scalar = number("m", above=0, harmless=0.1)
-    height: Scalar = number("m", above=0, harmless=0.1)
+    width: Given[ScalarLike] = number("m", above=0, harmless=0.1)
+    height: Given[ScalarLike] = number("m", above=0, harmless=0.1)
 
     @property
-    def area(self) -> Scalar:
+    def area(self) -> ScalarLike:
         return self.width * self.height
 
     @property
@@ -90,7 +89,7 @@ class Rectangle(eqx.Module):
         return jnp.stack([w * h**3, h * w**3]) / 12
 
     @property
-    def torsion_constant(self) -> Scalar:
+    def torsion_constant(self) -> ScalarLike:
         """Saint-Venant's series (Timoshenko & Goodier, Theory of Elasticity, art. 109)."""
         a = jnp.maximum(self.width, self.height)
         b = jnp.minimum(self.width, self.height)
@@ -117,9 +116,9 @@ _ZETA_5 = 1.036927755143369926  # Riemann zeta(5): sum over odd n of n^-5 is 31/
 class GeneralSection(eqx.Module):
     """A section given by its numbers, for shapes that are not listed here."""
 
-    area: Scalar = number("m^2", above=0, harmless=0.03)
-    second_moments: Float[Array, "2"] = number("m^4", sizes=(2,), above=0, harmless=1e-4)
-    torsion_constant: Scalar = number("m^4", above=0, harmless=1e-4)
+    area: Given[ScalarLike] = number("m^2", above=0, harmless=0.03)
+    second_moments: Given[PairLike] = number("m^4", sizes=(2,), above=0, harmless=1e-4)
+    torsion_constant: Given[ScalarLike] = number("m^4", above=0, harmless=1e-4)
 
     def contains(self, offset):
         # The outline is unknown: the radius of gyration bounds nothing, so accept.

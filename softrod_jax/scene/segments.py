@@ -5,10 +5,16 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from softrod_jax.foundation.numbers import (
+    DiagonalLike,
+    Given,
+    Maybe,
+    PairLike,
+    ScalarLike,
+    VectorLike,
+)
 from softrod_jax.scene.ranges import number
 from softrod_jax.scene.sections import Section
-
-Scalar = Float[Array, ""]
 
 DAMPING = {"optional": True, "sizes": (0, 3), "at_least": 0, "zero_is_absent": True}
 
@@ -21,10 +27,10 @@ class Stiffness(eqx.Module):
       they are not needed.
     """
 
-    bending: Float[Array, "2"] = number("N m^2", sizes=(2,), above=0, harmless=1.0)
-    torsion: Scalar = number("N m^2", above=0, harmless=1.0)
-    axial: Scalar | None = number("N", optional=True, above=0, harmless=1.0)
-    shear: Float[Array, "2"] | None = number("N", optional=True, sizes=(2,), above=0, harmless=1.0)
+    bending: Given[PairLike] = number("N m^2", sizes=(2,), above=0, harmless=1.0)
+    torsion: Given[ScalarLike] = number("N m^2", above=0, harmless=1.0)
+    axial: Maybe[ScalarLike] = number("N", optional=True, above=0, harmless=1.0)
+    shear: Maybe[PairLike] = number("N", optional=True, sizes=(2,), above=0, harmless=1.0)
 
 
 class Segment(eqx.Module):
@@ -36,22 +42,20 @@ class Segment(eqx.Module):
     - `intervals` of the grid; chosen where `None`.
     """
 
-    length: Scalar = number("m", above=0, harmless=1.0)
-    section: Section
+    length: Given[ScalarLike] = number("m", above=0, harmless=1.0)
+    section: Section  # pyright: ignore[reportGeneralTypeIssues]  # `number` gives no default
     section_at_end: Section | None = None
-    young_modulus: Scalar | None = number("Pa", optional=True, above=0, harmless=1.0)
-    poisson_ratio: Scalar | None = number(optional=True, above=-1, below=0.5)
-    density: Scalar | None = number("kg/m^3", optional=True, above=0, harmless=1.0)
+    young_modulus: Maybe[ScalarLike] = number("Pa", optional=True, above=0, harmless=1.0)
+    poisson_ratio: Maybe[ScalarLike] = number(optional=True, above=-1, below=0.5)
+    density: Maybe[ScalarLike] = number("kg/m^3", optional=True, above=0, harmless=1.0)
     stiffness: Stiffness | None = None
-    linear_density: Scalar | None = number("kg/m", optional=True, above=0, harmless=1.0)
-    bending_damping: Float[Array, "..."] | None = number("N m^2 s", **DAMPING)
-    shear_damping: Float[Array, "..."] | None = number("N s", **DAMPING)
-    drag_coefficient: Float[Array, "..."] | None = number("kg/m^2", **DAMPING)
-    shear_correction: Scalar | None = number(optional=True, above=0, harmless=1.0)
-    rest_curvature: Float[Array, "3"] | None = number("1/m", optional=True, sizes=(3,))
-    rest_stretch: Float[Array, "3"] | None = number(
-        optional=True, sizes=(3,), harmless=(0.0, 0.0, 1.0)
-    )
+    linear_density: Maybe[ScalarLike] = number("kg/m", optional=True, above=0, harmless=1.0)
+    bending_damping: Maybe[DiagonalLike] = number("N m^2 s", **DAMPING)
+    shear_damping: Maybe[DiagonalLike] = number("N s", **DAMPING)
+    drag_coefficient: Maybe[DiagonalLike] = number("kg/m^2", **DAMPING)
+    shear_correction: Maybe[ScalarLike] = number(optional=True, above=0, harmless=1.0)
+    rest_curvature: Maybe[VectorLike] = number("1/m", optional=True, sizes=(3,))
+    rest_stretch: Maybe[VectorLike] = number(optional=True, sizes=(3,), harmless=(0.0, 0.0, 1.0))
     intervals: int | None = eqx.field(static=True, default=None)
 
     def __check_init__(self):

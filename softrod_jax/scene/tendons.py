@@ -5,6 +5,7 @@ function of the arc length, and its slope follows by differentiation.
 """
 
 import abc
+from collections.abc import Sequence
 
 import equinox as eqx
 import jax
@@ -12,13 +13,14 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from softrod_jax.foundation.numbers import Given, PairLike, RowsLike, ScalarLike
 from softrod_jax.scene.ranges import number, one_for_each
 
 Scalar = Float[Array, ""]
 
 GUIDES = ("rod", "disks")
 # Numbers that single tendons or chambers have, or not.
-Each = tuple[Scalar | None, ...]
+Each = Sequence[ScalarLike | None]
 
 
 class AbstractPath(eqx.Module):
@@ -36,9 +38,9 @@ class Helix(AbstractPath):
       over the tendon's whole part.
     """
 
-    radius: Scalar = number("m", at_least=0, harmless=0.01)
-    angle: Scalar = number("rad", default=0.0)
-    turns: Scalar = number(default=1.0)
+    radius: Given[ScalarLike] = number("m", at_least=0, harmless=0.01)
+    angle: Given[ScalarLike] = number("rad", default=0.0)
+    turns: Given[ScalarLike] = number(default=1.0)
 
     def place(self, s, start, end):
         angle = self.angle + 2 * jnp.pi * self.turns * (s - start) / (end - start)
@@ -48,8 +50,8 @@ class Helix(AbstractPath):
 class Line(AbstractPath):
     """A straight line from one place in the section to another, `begin` and `end` [m], (2,)."""
 
-    begin: Float[Array, "2"] = number("m", sizes=(2,))
-    end: Float[Array, "2"] = number("m", sizes=(2,))
+    begin: Given[PairLike] = number("m", sizes=(2,))
+    end: Given[PairLike] = number("m", sizes=(2,))
 
     def place(self, s, start, end):
         x = (s - start) / (end - start)
@@ -63,7 +65,7 @@ class Points(AbstractPath):
     line or a parabola. Beyond the first and the last point the outermost polynomials go on.
     """
 
-    points: Float[Array, "points 3"] = number(
+    points: Given[RowsLike] = number(
         "m", sizes=(3,), rows=2, harmless=((0.0, 0.0, 0.0), (1.0, 0.0, 0.0))
     )
 
@@ -126,13 +128,13 @@ class Tendons(eqx.Module):
       one for all.
     """
 
-    offsets: Float[Array, "tendons 2"] = number(
+    offsets: Given[RowsLike] = number(
         "m", sizes=(2,), per_actuator=True, harmless=0.01, converter=jnp.asarray
     )
-    paths: tuple[AbstractPath | None, ...] | None = eqx.field(default=None, converter=one_for_each)
+    paths: Sequence[AbstractPath | None] | None = eqx.field(default=None, converter=one_for_each)
     starts_at: Each | None = number("m", each=True, at_least=0)
     ends_at: Each | None = number("m", each=True, above=0, harmless=1.0)
-    guided: str | tuple[str, ...] = eqx.field(static=True, default="rod", converter=_guides)
+    guided: str | Sequence[str] = eqx.field(static=True, default="rod", converter=_guides)
 
     def __check_init__(self):
         for name in ("paths", "starts_at", "ends_at"):
@@ -152,9 +154,9 @@ class Tendons(eqx.Module):
     @property
     def guides(self) -> tuple[str, ...]:
         """By what each is guided."""
-        return (self.guided,) * self.count if isinstance(self.guided, str) else self.guided
+        return (self.guided,) * self.count if isinstance(self.guided, str) else tuple(self.guided)
 
-    def part(self, i: int, length) -> tuple[Scalar, Scalar]:
+    def part(self, i: int, length) -> tuple[ScalarLike, ScalarLike]:
         """Where tendon `i` of a rod of this `length` begins and ends [m]."""
         return part_of(self, i, length)
 
@@ -162,7 +164,7 @@ class Tendons(eqx.Module):
         """The path of tendon `i`, or `None` if it is parallel to the rod."""
         return None if self.paths is None else self.paths[i]
 
-    def place(self, i: int, s: Float[Array, "n"], length) -> Float[Array, "n 2"]:
+    def place(self, i: int, s: Float[Array | np.ndarray, "n"], length) -> Float[Array, "n 2"]:
         """x and y [m] of tendon `i` at arc lengths `s` [m] of a rod of this `length`."""
         # A path computes with JAX, also where its numbers are numpy's.
         path, ends = jax.tree.map(jnp.asarray, self.path(i)), self.part(i, length)

@@ -38,7 +38,7 @@ class Before(NamedTuple):
     """The loads that a step comes from, the strains' rates there, the last factors."""
 
     loads: list
-    rate: Float[Array, "points 6"]
+    rate: Float[Array, "points strain"]
     reused: ReusedFactors
 
 
@@ -68,6 +68,7 @@ def search_by_inertia(equations: Equations, options: NewtonOptions, U, before: B
 
     def on_the_way(state):
         """The step as far as the next try goes."""
+        assert equations.history is not None, "a step of a motion"
         c0, strain_h, velocity_h = equations.history
         start = equations.fields(U)
         _, q, w, _, _ = equations.layout.split(start.y)

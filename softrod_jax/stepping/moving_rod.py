@@ -43,8 +43,8 @@ _RISE = 0.5
 class Fields(NamedTuple):
     """What has a history: strains (v, u) and velocities (q, omega), (points, 6) each."""
 
-    strain: Float[Array, "points n"]
-    velocity: Float[Array, "points m"]
+    strain: Float[Array, "points strain"]
+    velocity: Float[Array, "points pair"]
 
 
 class Beginning(NamedTuple):
@@ -67,7 +67,7 @@ class Progress(NamedTuple):
 
     guess: Guess
     loads: list
-    rate: Float[Array, "points n"]
+    rate: Float[Array, "points strain"]
     history: History
     factors: Any
     c0: Float[Array, ""]
@@ -150,14 +150,14 @@ class MovingRod(NamedTuple):
         alive = progress.result == RESULTS.successful
         rod = scaled_loads(rod, jnp.where(alive, 1.0, 0.0))
         usable = alive & (progress.c0 == c0)
-        history = slow_unless(alive, History(c0, history.strain, history.velocity))
+        slowed = slow_unless(alive, History(c0, history.strain, history.velocity))
         before = Before(progress.loads, progress.rate, ReusedFactors(progress.factors, usable))
         solved = solve_boundary_value(
             self.method,
             self.layout,
             self.options,
             rod,
-            history,
+            slowed,
             jax.tree.map(lambda a, b: jnp.where(alive, a, b), progress.guess, self.unloaded),
             search_by_inertia,
             jax.lax.stop_gradient(before),
@@ -172,13 +172,13 @@ class MovingRod(NamedTuple):
         progress = progress._replace(
             guess=jax.lax.stop_gradient(Guess(fields.y, fields.strain)),
             loads=jax.lax.stop_gradient(loads_of(rod)),
-            rate=jax.lax.stop_gradient(c0 * fields.strain + history.strain),
+            rate=jax.lax.stop_gradient(c0 * fields.strain + slowed.strain),
             factors=solved.factors,
             c0=jnp.where(found.contraction < _REUSE, c0, 0.0),
             result=jnp.where(progress.result == RESULTS.successful, result, progress.result),
             iterations=progress.iterations + found.iterations,
             correction=jnp.maximum(progress.correction, found.correction),
-            history=jax.lax.stop_gradient(history),
+            history=jax.lax.stop_gradient(slowed),
         )
         return Fields(fields.strain, jnp.concatenate([q, w], -1)), progress
 

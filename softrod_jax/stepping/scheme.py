@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Bool
+from jaxtyping import Array, Bool, Float
 
 
 def combine(*terms):
@@ -50,18 +50,18 @@ class AbstractTimeScheme(eqx.Module):
     one_step: eqx.AbstractVar[bool]
 
     @abc.abstractmethod
-    def coefficients(self, dt, restart: Bool[Array, "steps"]):
+    def coefficients(self, dt, restart: Bool[Array, "steps"]) -> Float[Array, "steps _"]:
         """Coefficients of every step, (steps, ...): what `step` gets row by row.
 
         `restart`: whether an input jumps at the beginning of the step.
         """
 
     @abc.abstractmethod
-    def start(self, y, guess):
+    def start(self, y, guess) -> tuple:
         """Memory of a rod at rest with the fields `y`; `guess`: of Newton's method there."""
 
     @abc.abstractmethod
-    def step(self, memory, coefficients, solve: Callable, carry):
+    def step(self, memory, coefficients, solve: Callable, carry) -> tuple[tuple, Any, LocalErrors]:
         """One step: `solve(c0, y_h, at, carry) -> (y, carry)` for each stage in turn.
 
         `at`, in (0, 1]: the time of the stage in the step. `carry` is a named tuple; its field

@@ -117,7 +117,7 @@ def _moments_along(rod: Rod, tangent: Float[Array, "nodes 3"]) -> list[Float[Arr
     moments = [] if rod.M_tip is None else [rod.M_tip @ unit[-1]]
     for load in rod.at_gaps or ():
         if load.M is not None and load.frame == "base":
-            moments.append(load.here @ (unit[rod.grid.division.gaps] @ load.M))
+            moments.append(load.here @ (unit[rod.grid.gaps] @ load.M))
     return [jnp.abs(moment) for moment in moments]
 
 

@@ -1,0 +1,71 @@
+"""How far a simulated motion is from what was measured, as the recording's clock and sensor see it.
+
+None of this needs a simulation: a motion that is there is compared at other delays, or in another
+frame, for next to nothing.
+"""
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+import softrod_jax as sr
+from calibration.experiment.alignment import Alignment, align
+from calibration.problem.batch import Batch
+from calibration.problem.motion import Motion, tip_at
+
+# A residual of a simulation that failed, in rod lengths: worse than any motion of the rod.
+_FAILED = 10.0
+
+
+def residual(
+    motion: Motion, recording: Batch, nuisance, length, frame: Alignment | None = None
+) -> tuple[Float[Array, "samples 3"], Alignment]:
+    """Residuals [m] of one recording, simulated minus measured, and what aligned the two.
+
+    Where the recording's own frame is free, it is the one that fits best, or `frame`. For the
+    nuisance parameters see `calibration.problem.evaluation.evaluate`.
+    """
+    ok = motion.result == sr.RESULTS.successful
+    used = recording.used
+    times = recording.times - nuisance["delay"]
+    if "clock" in nuisance:
+        times = times - recording.ramps["clock"] @ nuisance["clock"][:, 0]
+    tip = seen = tip_at(motion, recording.dt, times)
+    if "tip" in nuisance:
+        seen = tip + recording.ramps["tip"] @ nuisance["tip"]
+    moved = jnp.where(ok, tip - motion.positions[0], 0.0)
+    missed = jnp.where(used & ok, recording.tip - seen, 0.0)
+    alignment = align(moved, missed, recording.weights) if frame is None else frame
+    free = recording.free_frame
+    alignment = jax.tree.map(lambda x: jnp.where(free, x, 0.0), alignment)
+    r = jnp.where(ok, alignment.of(moved) - missed, _FAILED * length)
+    return jnp.where(used, r, 0.0), alignment
+
+
+@jax.jit
+def losses_by_delay(motion: Motion, batch: Batch, nuisance, delays, length, frame=None):
+    """Sums of squares [m^2] at `delays` [s], both (recordings, tries).
+
+    The other nuisance parameters are as they are. The delays are tried one after the other: a long
+    log has no room for all at once.
+    """
+
+    def of_one(arguments):
+        motion, recording, nuisance, delays = arguments
+
+        def at(delay):
+            seen = {**nuisance, "delay": delay}
+            r, _ = residual(motion, recording, seen, length, frame)
+            return jnp.sum((recording.weights * r) ** 2)
+
+        return jax.lax.map(at, delays)
+
+    return jax.lax.map(of_one, (motion, batch, nuisance, delays))
+
+
+@jax.jit
+def residuals_in(motion: Motion, batch: Batch, nuisance, length, frame: Alignment):
+    """Residuals [m] of all recordings, (recordings, samples, 3), and their alignments, seen in
+    `frame` where their own is free."""
+    one = lambda motion, recording, own: residual(motion, recording, own, length, frame)
+    return jax.vmap(one)(motion, batch, nuisance)

@@ -1,0 +1,114 @@
+"""The fit of each recording, and the prediction of those that were kept aside, at their samples."""
+
+from collections.abc import Mapping
+from dataclasses import replace
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+
+from calibration.data.selection import kept
+from calibration.experiment.beginning import beginning
+from calibration.experiment.drift import Drift, drifts
+from calibration.inference.held_out import predictions
+from calibration.inference.uncertainty import Uncertainty
+from calibration.problem.batch import recording_of
+from calibration.problem.dataset import Dataset
+from calibration.problem.motion import Motion, tip_at
+from calibration.problem.problem import Point
+from calibration.report.results import RecordingFit
+
+
+def held_out_fits(best: Point, unseen: Dataset, dt: float | None) -> tuple[RecordingFit, ...]:
+    """The predictions of recordings that were kept aside, from the best point of a fit."""
+    fits = []
+    for found in predictions(best, unseen, dt):
+        shown = found.own_frame if found.fitted_frame is None else found.fitted_frame
+        for k in range(found.count):
+            fit = recording_fit(shown, k, found.data)
+            if not fit.recording.origin_known:
+                own = recording_fit(found.own_frame, k, found.data).rmse
+                fit = replace(fit, rmse_own_frame=own, frame_fitted=shown is found.own_frame)
+            fits.append(fit)
+    return tuple(fits)
+
+
+def recording_fit(
+    best: Point,
+    k: int,
+    data: Dataset,
+    uncertainty: Uncertainty | None = None,
+    finer: Motion | None = None,
+) -> RecordingFit:
+    """Recording `k` of `data` as it is at the best point.
+
+    `uncertainty`: for the interval of its clock; `finer`: motions with half the time step, for the
+    rod's shapes.
+    """
+    problem, evaluation = best.problem, best.evaluation
+    recording, selection, clock = data.recordings[k], data.selections[k], problem.space.clocks[k]
+    chosen = kept(recording, selection)
+    times, measured = recording.times[chosen], recording.tip_positions[chosen]
+    residuals = np.where(np.isfinite(measured), evaluation.residuals[k, : len(times)], np.nan)
+    nuisance = recording_of(problem.space.nuisance(best.x), k)
+    delay, drift = nuisance["delay"], drifts(nuisance, clock)
+    alignment = recording_of(evaluation.alignment, k)
+    curve_times = np.linspace(times[0], times[-1], 4 * len(times))
+    count = np.maximum(np.sum(np.isfinite(residuals), axis=0), 1)
+    axes = np.sqrt(np.nansum(residuals**2, axis=0) / count)
+    motion, step = recording_of(evaluation.motion if finer is None else finer, k), clock.dt
+    step = step if finer is None else step / 2
+    duration = selection.end - clock.origin - delay
+    rows = np.arange(min(len(motion.shapes), int(duration / step) + 2))
+    return RecordingFit(
+        name=data.labels[k],
+        recording=recording,
+        selection=selection,
+        times=times,
+        measured=measured,
+        simulated=measured + residuals,
+        weights=problem.statistics.weights[k, : len(times)],
+        curve_times=curve_times,
+        curve=_curve(best, k, curve_times, delay, drift),
+        rmse=float(np.sqrt(np.nansum(residuals**2) / len(times))),
+        rmse_axes=np.where(np.any(np.isfinite(measured), axis=0), axes, np.nan),
+        time_offset=clock.origin - clock.zero + delay,
+        time_offset_ci95=_offset_interval(best, k, delay, uncertainty),
+        drift=drift,
+        tip_offset=None if recording.origin_known else np.asarray(alignment.offset),
+        frame_rotation=None if recording.origin_known else np.asarray(alignment.rotation),
+        beginning=beginning(recording, bool(problem.batch.hanging[k])),
+        shape_times=step * rows,
+        shapes=np.asarray(motion.shapes)[rows],
+    )
+
+
+def _curve(
+    best: Point,
+    k: int,
+    times: Float[np.ndarray, "times"],
+    delay: float,
+    drift: Mapping[str, Drift],
+) -> Float[np.ndarray, "times 3"]:
+    """The simulated tip [m] of recording `k` at `times` [s] of its clock, as its sensor sees it."""
+    clock = best.problem.space.clocks[k]
+    motion, alignment = (
+        recording_of(part, k) for part in (best.evaluation.motion, best.evaluation.alignment)
+    )
+    gained = drift["clock"].at(times)[:, 0] if "clock" in drift else 0.0
+    moved = drift["tip"].at(times) if "tip" in drift else 0.0
+    tip = tip_at(motion, clock.dt, jnp.asarray(times - clock.origin - delay - gained))
+    return np.asarray(tip + alignment.of(tip - motion.positions[0])) + moved
+
+
+def _offset_interval(
+    best: Point, k: int, delay: float, uncertainty: Uncertainty | None
+) -> tuple[float, float] | None:
+    """The 95 % interval [s] of the time offset of recording `k`; None if it was not fitted."""
+    space = best.problem.space
+    if not space.time_offset or uncertainty is None:
+        return None
+    clock = space.clocks[k]
+    at = clock.origin - clock.zero + delay
+    error = uncertainty.standard_errors[space.delays][k] * clock.interval
+    return at - uncertainty.quantile * error, at + uncertainty.quantile * error
