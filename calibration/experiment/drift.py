@@ -13,6 +13,7 @@ in a state of their own: what has drifted would drift the tip again within a few
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
@@ -86,7 +87,7 @@ def ramps(
     return np.clip((times[:, None] - edges) / max(length, 1e-12), 0.0, 1.0)
 
 
-def drifts(nuisance: Mapping[str, np.ndarray], clock: Clock) -> dict[str, Drift]:
+def drifts(nuisance: Mapping[str, Any], clock: Clock) -> dict[str, Drift]:
     """The drift of each channel, from the nuisance parameters of a recording, see
     `calibration.problem.evaluation`."""
     found = {}

@@ -68,7 +68,7 @@ class Setup(eqx.Module):
         return tensions * self.tendon_efficiency
 
 
-def rotated(h: Float[Array, "*n 4"], a: Float[Array, "*n 3"]) -> Float[Array, "*n 3"]:
+def rotated(h: Float[Array, "*#n 4"], a: Float[Array, "*#n 3"]) -> Float[Array, "*#n 3"]:
     """`a` turned by the unit quaternion `h` (w, x, y, z)."""
     w, r = h[..., :1], h[..., 1:]
     return a + 2 * jnp.cross(r, jnp.cross(r, a) + w * a)

@@ -54,9 +54,9 @@ class Evaluation(eqx.Module):
     - `motion`: the simulated tips, before that.
     """
 
-    residuals: Float[Array, "recordings samples 3"]
-    by_parameter: Float[Array, "recordings *samples parameters"]
-    by_nuisance: dict[str, Float[Array, "recordings ..."]]
+    residuals: Float[Array, "*recordings samples 3"]
+    by_parameter: Float[Array, "*recordings_samples parameters"]
+    by_nuisance: dict[str, Float[Array, "..."]]
     alignment: Alignment
     motion: Motion
 

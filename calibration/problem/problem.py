@@ -87,7 +87,7 @@ class Point:
 
     @property
     def ok(self) -> bool:
-        return self.result == sr.RESULTS.successful and np.isfinite(self.loss)
+        return bool(self.result == sr.RESULTS.successful and np.isfinite(self.loss))
 
 
 @dataclass(frozen=True, eq=False)

@@ -51,4 +51,4 @@ class DataStatistics:
         """Whether a loss [m^2] leaves less than `part` of the motion (rms), or no more than
         noise."""
         noise = _NOISE * np.sqrt(3) * self.noise
-        return loss < max(part * self.motion_rms, noise) ** 2 * self.samples
+        return bool(loss < max(part * self.motion_rms, noise) ** 2 * self.samples)
