@@ -94,7 +94,7 @@ def as_json(fit: Fit) -> dict:
         "held_out_rmse_m": {r.name: r.rmse for r in fit.held_out},
         "held_out_rmse_own_frame_m": {r.name: r.rmse_own_frame for r in fit.held_out},
         "rmse_axes_m": {r.name: _plain(r.rmse_axes) for r in fit.recordings},
-        "samples": {r.name: int(_sampled(r)) for r in fit.recordings},
+        "samples": {r.name: _sampled(r) for r in fit.recordings},
         "window_s": {r.name: [r.selection.start, r.selection.end] for r in fit.recordings},
         "time_offset_s": fit.time_offset_s,
         "time_offset_ci95_s": {r.name: _plain(r.time_offset_ci95) for r in fit.recordings},
