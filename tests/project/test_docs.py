@@ -13,7 +13,7 @@ import calibration
 
 pytest.importorskip("mkdocs", reason='needs the extra: pip install -e ".[docs]"')
 
-ROOT = Path(__file__).parents[1]
+ROOT = Path(__file__).parents[2]
 
 
 def public_names():

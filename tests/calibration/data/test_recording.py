@@ -17,7 +17,7 @@ from softrod_jax.scene.robots import hybrid_robot
 from softrod_jax.scene.scene import Scene, as_arrays
 from softrod_jax.scene.sections import Rectangle
 
-BEAM = Path(__file__).parents[2] / "shared" / "data" / "beam"
+BEAM = Path(__file__).parents[4] / "shared" / "data" / "beam"
 
 HEADER = "t_s,tau1_N,tau2_N,tau3_N,p1_Pa,tip_x_m,tip_y_m,tip_z_m\n"
 ROW = "0.0,0,0,0,1e3,0.0,0.0,0.1\n"

@@ -7,7 +7,7 @@ import matplotlib
 import numpy as np
 import pytest
 
-sys.path.insert(0, str(Path(__file__).parents[1] / "benchmarks"))
+sys.path.insert(0, str(Path(__file__).parents[2] / "benchmarks"))
 
 import paper  # noqa: E402
 import paper_study  # noqa: E402

@@ -11,7 +11,7 @@ import softrod_jax as sr
 from calibration import Recording, calibrate, load_recording
 from softrod_jax.scene.scene import as_arrays
 
-BEAM = Path(__file__).parents[2] / "shared" / "data" / "beam" / "beam_gravity_V2_a.c3d"
+BEAM = Path(__file__).parents[3] / "shared" / "data" / "beam" / "beam_gravity_V2_a.c3d"
 LOADED = BEAM.with_name("beam_load52_V2_a.c3d")
 TRUTH = {"young_modulus": 2.9e5, "bending_damping": 6e-5}
 OFFSET, RATE, NOISE = 0.2036, 100.0, 3e-4

@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 
 import softrod_jax as sr
 
-sys.path.insert(0, str(Path(__file__).parents[1] / "benchmarks"))
+sys.path.insert(0, str(Path(__file__).parents[2] / "benchmarks"))
 
 import judge_rod  # noqa: E402
 import judge_static  # noqa: E402

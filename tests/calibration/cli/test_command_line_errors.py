@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 from command_line import asked, in_a_directory_of_its_own, run  # noqa: F401
 
-ROOT = Path(__file__).parents[1]
+ROOT = Path(__file__).parents[3]
 
 LOG = "t_s,tau1_N,tau2_N,tau3_N,p1_Pa\n0,0,0,0,0\n1,1,1,1,1\n"
 

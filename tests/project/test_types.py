@@ -18,7 +18,7 @@ from test_readme import blocks
 import softrod_jax as sr
 from softrod_jax.rod.rotations import quaternion_exp
 
-ROOT = Path(__file__).parents[1]
+ROOT = Path(__file__).parents[2]
 
 
 def found(*command):
