@@ -45,3 +45,18 @@ def test_circles_are_seen():
     in_order(circle)
     with pytest.raises(CycleError):
         in_order(between_rooms(circle))
+
+
+@pytest.mark.parametrize("package", ["softrod_jax", "calibration"])
+def test_classes_are_abstract_or_final(package):
+    """A class from which others derive says so in its name."""
+    classes = {
+        node.name: [ast.unparse(base).split("[")[0].split(".")[-1] for base in node.bases]
+        for tree in sources(package).values()
+        for node in ast.walk(tree)
+        if isinstance(node, ast.ClassDef)
+    }
+    assert len(classes) > 30
+    derived = {name: [b for b in bases if b in classes] for name, bases in classes.items()}
+    for name, bases in derived.items():
+        assert all(base.startswith("Abstract") for base in bases), (name, bases)
