@@ -88,6 +88,8 @@ def _definitions(package: str, home: str) -> dict[str, int]:
 
 def _docstring(package: str) -> str:
     source = ROOT.joinpath(*package.split("."), "__init__.py")
+    if not source.exists():  # a folder of tests
+        return ""
     return ast.get_docstring(ast.parse(source.read_text(encoding="utf-8"))) or ""
 
 
