@@ -131,7 +131,7 @@ def test_bulk_of_segments():
     np.testing.assert_allclose(bulk(cone).EA, 1e5 * np.pi * 18e-6, rtol=2e-4)
 
 
-def test_linear_deflection_of_a_segmented_rod():
+def test_linear_deflection_of_a_segmented_rod(wrong_types):
     """As of the same rod in one piece."""
     robot = sr.hybrid_robot(gravity=jnp.array([1.0, 0.0, 9.81]))
     segments = [sr.Segment(jnp.array(x), robot.section) for x in (0.04, 0.06)]
