@@ -29,7 +29,8 @@ def test_solves_what_it_was_given(n, a):
     right = np.eye(n) + 0.05 * rng.normal(size=(intervals, n, n))
     slope, rhs = rng.normal(size=(b, a)), rng.normal(size=b)
     defect = rng.normal(size=(intervals, n))
-    d = np.asarray(solve_sweeps(factorise(*map(jnp.asarray, (left, right, slope))), defect, rhs))
+    factors = factorise(*map(jnp.asarray, (left, right, slope)))
+    d = np.asarray(solve_sweeps(factors, *map(jnp.asarray, (defect, rhs))))
     met = np.einsum("kij,kj->ki", left, d[:-1]) + np.einsum("kij,kj->ki", right, d[1:]) + defect
     np.testing.assert_allclose(met, 0.0, atol=1e-10 * np.abs(d).max())
     np.testing.assert_allclose(d[-1, a:], slope @ d[-1, :a] + rhs, atol=1e-10 * np.abs(d).max())
