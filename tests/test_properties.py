@@ -17,6 +17,10 @@ import softrod_jax as sr
 from softrod_jax.rod.rotations import quaternion_product, rotation_matrix
 from softrod_jax.scene.scene import as_arrays
 
+# Scenes are made inside of strategies, and the checker of annotations looks at one item of a list,
+# which it draws.
+pytestmark = pytest.mark.filterwarnings("ignore:Do not use the `random` module inside strategies")
+
 BARE = sr.hybrid_robot()
 LENGTH, STEPS = 0.1, 24
 NOTHING = np.zeros(3)
