@@ -16,8 +16,6 @@ _MAX_LOAD_STEPS = 1000
 # Corrections that fall at least this fast, undamped, from one load to the next: the answer is
 # on the branch that the last one was on.
 SAFE_CONTRACTION = 0.5
-# What steps aim at, so that few are tried in vain.
-_AIM = 0.25
 
 
 class _Load(NamedTuple):
@@ -58,8 +56,8 @@ def search_by_load(equations: Equations, options: NewtonOptions, U, before=None)
         passes = found.stable | ~past.stable | smallest
         ok = converged & (found.contraction < SAFE_CONTRACTION) & passes
         # A secant is off by the square of the step, and corrections fall as fast as it is close.
-        longer = jnp.sqrt(_AIM / jnp.maximum(found.contraction, 1e-6))
-        step = jnp.where(ok, jnp.clip(longer, 0.5, 2.0) * state.step, state.step / 4)
+        longer = jnp.minimum(2.0, 1 / jnp.sqrt(jnp.maximum(found.contraction, 1e-6)))
+        step = jnp.where(ok, longer * state.step, state.step / 4)
         tries = state.tries + 1
         stuck = (~ok & (step < _SMALLEST_LOAD_STEP)) | (tries >= _MAX_LOAD_STEPS)
         finished = ok & (load >= 1.0)
