@@ -147,7 +147,8 @@ def _relaxed(scene, inputs, method, options):
     solved = solve_boundary_value(method, layout, options, rod, None, rest.guess)
     found = solved.found
     # A rod that still creeps is on its way to the stable equilibrium in whose basin it is.
-    arrives = rest.at_rest | (found.stable & (found.contraction < SAFE_CONTRACTION))
+    close = found.stable & (found.contraction < SAFE_CONTRACTION)
+    arrives = rest.at_rest | (rest.loaded & close)
     moving = jnp.where(arrives, found.result, RESULTS.diverged).astype(jnp.int32)
     solved = solved._replace(found=found._replace(result=moving))
     return _solution(scene, rod, method, solved, valid, rest.steps)

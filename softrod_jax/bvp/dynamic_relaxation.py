@@ -32,9 +32,13 @@ _REST = 1e-9
 
 
 class Rest(NamedTuple):
-    """States and strains at the end, whether the rod is at rest there, and the steps it took."""
+    """States and strains at the end, and the steps it took.
+
+    `loaded`: whether all loads act there in full; `at_rest`: whether the rod has come to rest.
+    """
 
     guess: Guess
+    loaded: Array
     at_rest: Array
     steps: Int[Array, ""]
 
@@ -97,7 +101,9 @@ def dynamic_relaxation(
     start = _State(at_rest(guess), _STEP * unit, jnp.array(jnp.inf), zero, zero)
     end = jax.lax.while_loop(goes_on, step, start)
     pose, wrench = end.guess.y[..., : layout.pose_size], end.guess.y[..., -layout.pair :]
-    return Rest(Guess(layout.join(pose, wrench), end.guess.strain), end.rate <= _REST, end.steps)
+    last = Guess(layout.join(pose, wrench), end.guess.strain)
+    # The rate is known from the moment on at which all loads act.
+    return Rest(last, jnp.isfinite(end.rate), end.rate <= _REST, end.steps)
 
 
 def _weights_without_mass(rod: Rod) -> Rod:
