@@ -18,13 +18,15 @@ from softrod_jax.foundation.numbers import ManyLike, ScalarLike
 from softrod_jax.foundation.precision import require_float64
 from softrod_jax.foundation.results import RESULTS, raise_unless_successful, without_derivative
 from softrod_jax.foundation.tracing import is_traced
-from softrod_jax.rod.constants import clamp_pose, make_rod
+from softrod_jax.rod.given_lengths import tensions_of
 from softrod_jax.rod.markers import seen
+from softrod_jax.rod.reduction import clamp_pose, make_rod
 from softrod_jax.rod.rotations import to_base
 from softrod_jax.rod.validity import usable_in_time
 from softrod_jax.scene.checks import checked_scene
 from softrod_jax.scene.inputs import Inputs, checked_inputs, time_step, whole_number
 from softrod_jax.scene.scene import Scene
+from softrod_jax.scene.tendons import driven_by_length
 from softrod_jax.statics import StaticSolution
 from softrod_jax.stepping.marching import march, stepping_of
 from softrod_jax.stepping.moving_rod import Beginning
@@ -49,6 +51,7 @@ class Trajectory(eqx.Module):
     - `positions` [m], (steps + 1, outputs, 3); `quaternions` (w, x, y, z), (steps + 1, outputs, 4).
     - `strains` (v, u) and `velocities` (q, omega), (steps + 1, outputs, 6), body frame.
     - `arc_lengths` [m], (outputs,).
+    - `tensions` [N], (steps + 1, tendons): of all tendons, at the end where their actuator is.
     - `markers`: by name, "tip" among them, a `Track` with `positions` [m], (steps + 1, 3), and
       `quaternions`, (steps + 1, 4).
     - `result`: a code of `RESULTS`; 0 is success. `failed_step`: the first step k that has no
@@ -71,6 +74,7 @@ class Trajectory(eqx.Module):
     strains: Float[Array, "times outputs 6"]
     velocities: Float[Array, "times outputs 6"]
     arc_lengths: Float[Array, "outputs"]
+    tensions: Float[Array, "times tendons"]
     markers: dict[str, Track]
     result: Int[Array, ""]
     failed_step: Int[Array, ""]
@@ -82,6 +86,7 @@ def simulate(
     dt: ScalarLike,
     tensions: Real[Array | np.ndarray, "steps tendons"] | Sequence[ManyLike] | None = None,
     pressures: Real[Array | np.ndarray, "steps chambers"] | Sequence[ManyLike] | None = None,
+    pulls: Real[Array | np.ndarray, "steps pulled"] | Sequence[ManyLike] | None = None,
     *,
     steps: int | None = None,
     substeps: int | None = None,
@@ -96,9 +101,10 @@ def simulate(
     """Move the rod from rest. All loads of the scene act from t = 0.
 
     - `dt` [s]: the time step.
-    - `tensions` [N], (steps, tendons), and `pressures` [Pa], (steps, chambers): row k acts from
-      ts[k] to ts[k + 1]. Where an input does not jump but varies, row k is its value at
-      ts[k + 1], reached linearly. `None` leaves that actuator out.
+    - `tensions` [N], (steps, tendons driven by tension), `pressures` [Pa], (steps, chambers), and
+      `pulls` [m], (steps, tendons driven by length): row k acts from ts[k] to ts[k + 1]. Where an
+      input does not jump but varies, row k is its value at ts[k + 1], reached linearly. `None`
+      leaves those actuators out.
     - `steps`: how many, where there are no inputs to tell.
     - `substeps`: equal parts into which each step is divided. `None`: one, and more where the
       tip is off by more than `max_time_error` and substeps can still be chosen, which is outside
@@ -125,7 +131,7 @@ def simulate(
     """
     require_float64("simulate")
     given, scene = scene, checked_scene("simulate", scene)
-    inputs = checked_inputs("simulate", scene, Inputs(tensions, pressures), ndim=2)
+    inputs = checked_inputs("simulate", scene, Inputs(tensions, pressures, pulls), ndim=2)
     steps = _count_steps(steps, inputs)
     dt = time_step("simulate", dt)
     fixed_grid = method is not None or initial is not None
@@ -138,7 +144,7 @@ def simulate(
         raise ValueError(
             "simulate: `initial` was solved with another method; give both the same `method`"
         )
-    begin = None if initial is None else Beginning(initial.point_strains, initial.result)
+    begin = None if initial is None else beginning_in(initial, scene)
     fixed_steps = substeps is not None
     substeps = whole_number("simulate", "substeps", substeps) if fixed_steps else 1
     limit = jnp.asarray(max_time_error, dtype=float)
@@ -200,12 +206,28 @@ def _count_steps(steps, inputs: Inputs) -> int:
     return count
 
 
+def beginning_in(initial: StaticSolution, scene: Scene) -> Beginning:
+    """How a motion of `scene` begins in an equilibrium of it."""
+    by_length = driven_by_length(scene.tendons)
+    found = initial.tensions[jnp.array(by_length)] if by_length else None
+    return Beginning(initial.point_strains, initial.result, found)
+
+
+def _from_start(inputs: Inputs, begin: Beginning | None):
+    """The tensions that are given, (steps + 1, ...): those of the beginning before all others."""
+    tensions = inputs.tensions
+    if tensions is None:
+        return None
+    first = jnp.zeros_like(tensions[:1]) if begin is None else tensions[:1]
+    return jnp.concatenate([first, tensions])
+
+
 @compiled
 def _simulate(scene, dt, inputs, begin, steps, substeps, scheme, method, options, limit):
     scene, dt, good = usable_in_time(scene, dt)
     first = jax.tree.map(lambda x: x[0], inputs)
     stepping = stepping_of(scene, dt, first, substeps, scheme, method, options)
-    strains, velocities, results, stats = march(stepping, inputs, begin, steps, good)
+    strains, velocities, results, found, stats = march(stepping, inputs, begin, steps, good)
     base, h_base = clamp_pose(scene)
     grid = method.grid(scene)
     positions, quaternions = jax.vmap(lambda strain: method.shape(strain, grid, base, h_base))(
@@ -234,6 +256,7 @@ def _simulate(scene, dt, inputs, begin, steps, substeps, scheme, method, options
             strains=jax.vmap(method.outputs)(strains),
             velocities=velocities,
             arc_lengths=nodes,
+            tensions=tensions_of(scene, _from_start(inputs, begin), found, (steps + 1,)),
             markers={name: Track(x.position, x.quaternion) for name, x in poses.items()},
             result=result,
             failed_step=jnp.where(jnp.any(failed), jnp.argmax(failed), -1),

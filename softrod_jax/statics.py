@@ -27,9 +27,11 @@ from softrod_jax.foundation.numbers import ScalarLike
 from softrod_jax.foundation.precision import require_float64
 from softrod_jax.foundation.results import RESULTS, raise_unless_successful, without_derivative
 from softrod_jax.foundation.tracing import is_traced
-from softrod_jax.rod.constants import clamp_pose, full_strain, make_rod
+from softrod_jax.rod.constants import full_strain
+from softrod_jax.rod.given_lengths import tensions_of
 from softrod_jax.rod.markers import seen
 from softrod_jax.rod.ode import layout_of
+from softrod_jax.rod.reduction import clamp_pose, make_rod
 from softrod_jax.rod.shape import Pose, pose_between
 from softrod_jax.rod.validity import usable
 from softrod_jax.scene.checks import checked_scene
@@ -46,6 +48,8 @@ class StaticSolution(eqx.Module):
       Where along the rod is up to the method: its nodes, or the ends of its steps.
     - `strains` (v, u), (outputs, 6): v [-], u [1/m], body frame.
     - `wrenches` (N, M), (outputs, 6): *total* force [N] and moment [N m], body frame.
+    - `tensions` [N], (tendons,): of all tendons, at the end where their actuator is; those of
+      tendons driven by length follow from their pulls, and are 0 where they are slack.
     - `markers`: by name, "tip" among them, a `Pose` (`position` [m], (3,), `quaternion`, (4,)).
     - `result`: a code of `RESULTS`; 0 is success. Else the numbers are the last iterate.
     - `stats`: "iterations", "residual" (Newton's last correction, relative to the size of the
@@ -63,6 +67,7 @@ class StaticSolution(eqx.Module):
     quaternions: Float[Array, "outputs 4"]
     strains: Float[Array, "outputs 6"]
     wrenches: Float[Array, "outputs 6"]
+    tensions: Float[Array, "tendons"]
     markers: dict[str, Pose]
     result: Int[Array, ""]
     stats: dict
@@ -79,6 +84,7 @@ def solve_static(
     scene: Scene,
     tensions: Real[Array | np.ndarray, "tendons"] | Sequence[ScalarLike] | None = None,
     pressures: Real[Array | np.ndarray, "chambers"] | Sequence[ScalarLike] | None = None,
+    pulls: Real[Array | np.ndarray, "pulled"] | Sequence[ScalarLike] | None = None,
     *,
     method: AbstractMethod | None = None,
     newton: NewtonOptions = NewtonOptions(),
@@ -90,8 +96,9 @@ def solve_static(
     Where several exist, it is the one that the unloaded rod moves to if the loads rise slowly.
     Where that path ends, as in snapping or buckling, a heavily damped motion goes on from there.
 
-    - `tensions` [N], (tendons,), and `pressures` [Pa], (chambers,): `None` leaves that
-      actuator out.
+    - `tensions` [N], one for each tendon that is driven by tension, `pressures` [Pa], (chambers,),
+      and `pulls` [m], one for each tendon that is driven by length: by how much its actuator
+      shortens it. `None` leaves those actuators out.
     - `method`: how to solve along the rod; `Collocation` or `Shooting`, on the grid as given.
       `None`: `Collocation()`, refined until the tip is good to 1e-4 lengths of the rod.
     - `tolerance`: refine the grid, from `method` on, until the estimated error is below this many
@@ -107,7 +114,7 @@ def solve_static(
     """
     require_float64("solve_static")
     given, scene = scene, checked_scene("solve_static", scene)
-    inputs = checked_inputs("solve_static", scene, Inputs(tensions, pressures), ndim=1)
+    inputs = checked_inputs("solve_static", scene, Inputs(tensions, pressures, pulls), ndim=1)
     arguments = (scene, inputs)
     traced = is_traced(arguments)
     if tolerance is not None and (traced or is_traced(tolerance) or not 0 < tolerance < 1):
@@ -136,7 +143,8 @@ def _solve(scene, inputs, method, options, traced):
 def _solve_static(scene, inputs, method, options):
     scene, rod, valid, layout, guess = _problem(scene, inputs, method)
     solved = solve_boundary_value(method, layout, options, rod, None, guess, search_by_load)
-    return _solution(scene, rod, method, solved, valid, jnp.zeros((), jnp.int32))
+    none = jnp.zeros((), jnp.int32)
+    return _solution(scene, inputs.tensions, rod, method, solved, valid, none)
 
 
 @compiled
@@ -151,7 +159,7 @@ def _relaxed(scene, inputs, method, options):
     arrives = rest.at_rest | (rest.loaded & close)
     moving = jnp.where(arrives, found.result, RESULTS.diverged).astype(jnp.int32)
     solved = solved._replace(found=found._replace(result=moving))
-    return _solution(scene, rod, method, solved, valid, rest.steps)
+    return _solution(scene, inputs.tensions, rod, method, solved, valid, rest.steps)
 
 
 def _problem(scene, inputs, method):
@@ -161,7 +169,7 @@ def _problem(scene, inputs, method):
     return scene, rod, valid, layout, unloaded_guess(layout, rod)
 
 
-def _solution(scene, rod, method, solved, valid, transient_steps):
+def _solution(scene, tensions, rod, method, solved, valid, transient_steps):
     result = jnp.where(valid, solved.found.result, RESULTS.bad_input).astype(jnp.int32)
     fields, error = solved.fields, solved.found.error
     strain = full_strain(fields.strain, rod)
@@ -176,6 +184,7 @@ def _solution(scene, rod, method, solved, valid, transient_steps):
         quaternions=quaternions,
         strains=method.outputs(strain),
         wrenches=in_space(wrench, rod.plane),
+        tensions=tensions_of(scene, tensions, fields.multipliers),
         markers=seen(scene, method.inside(strain), nodes, positions, quaternions),
         result=result,
         stats={

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 import softrod_jax as sr
-from softrod_jax.rod.constants import make_rod
+from softrod_jax.rod.reduction import make_rod
 from softrod_jax.rod.ode import layout_of
 from softrod_jax.rod.rotations import to_body
 from softrod_jax.scene.scene import as_arrays

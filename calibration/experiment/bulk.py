@@ -12,7 +12,7 @@ from jaxtyping import Array, Float
 
 import softrod_jax as sr
 from softrod_jax.foundation.numbers import ScalarLike
-from softrod_jax.rod.constants import INCOMPLETE
+from softrod_jax.rod.body import INCOMPLETE
 from softrod_jax.rod.energies import stiffness_at_rest
 
 # Of Gauss, on [0, 1]: exact for what a uniform segment needs.

@@ -22,7 +22,7 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
 
 
 class Factors(NamedTuple):
@@ -80,20 +80,21 @@ def _inverse(A: Float[Array, "n n"]):
     return jax.lax.fori_loop(0, A.shape[-1] // 2, eliminate, A)[:n, :n]
 
 
-def has_no_conjugate_point(factors: Factors):
-    """Whether a static equilibrium under dead loads is stable.
+def count_conjugate_points(factors: Factors) -> Int[Array, ""]:
+    """How many there are of an equilibrium: none if and only if it is stable under dead loads.
 
-    It is if and only if the second variation has no conjugate point: swept from the free tip,
-    no disturbance of the attitude vanishes before the clamp (Jacobi's condition). With T_12 the
-    da_{k+1} by db_{k+1} of one interval, disturbances of two nodes are related by
-    G = (I - T_12 S)^-1; one vanishes in between where G has a negative eigenvalue. Its
-    eigenvalues are real (it is similar to a symmetric matrix), so all are positive if and only
-    if all their elementary symmetric polynomials are. The sign of the determinant alone would
-    miss a column that buckles in two planes at once.
+    They are those of the second variation. Swept from the free tip, no disturbance of the attitude
+    vanishes before the clamp where it is positive (Jacobi's condition), and as many do as there
+    are directions in which it is not (Morse's index theorem). With T_12 the da_{k+1} by db_{k+1} of
+    one interval, disturbances of two nodes are related by G = (I - T_12 S)^-1; one vanishes in
+    between for each negative eigenvalue of G. Its eigenvalues are real (it is similar to a
+    symmetric matrix): as many are negative as the elementary symmetric polynomials change their
+    sign (Descartes). The sign of the determinant alone would miss a column that buckles in two
+    planes at once.
     """
     b, a = factors.S.shape[1:]
     if a == 0:
-        return jnp.array(True)  # nothing depends on the attitude
+        return jnp.zeros((), int)  # nothing depends on the attitude
     G = factors.K[:, :a] @ factors.right[:, :, :a]
     # Newton's identities: from the traces of powers to the elementary polynomials.
     power, traces, e = G, [], [1.0]
@@ -101,7 +102,8 @@ def has_no_conjugate_point(factors: Factors):
         traces.append(jnp.trace(power, axis1=-2, axis2=-1))
         e.append(sum((-1) ** i * e[k - 1 - i] * traces[i] for i in range(k)) / k)
         power = power @ G
-    return jnp.all(jnp.stack(e[1:]) > 0)
+    positive = jnp.stack([jnp.full(G.shape[0], True), *(x > 0 for x in e[1:])])
+    return jnp.sum(positive[1:] != positive[:-1])
 
 
 def solve_sweeps(

@@ -14,38 +14,17 @@ import jax.numpy as jnp
 from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Bool, Float, Int
 
-from softrod_jax.bvp.block_sweep import factorise, has_no_conjugate_point, solve_sweeps
+from softrod_jax.bvp.equations import Equations, Residual, Unknowns
 from softrod_jax.bvp.method import AbstractMethod, Guess
 from softrod_jax.bvp.newton import NewtonOptions, ReusedFactors, newton
 from softrod_jax.foundation.results import RESULTS
-from softrod_jax.rod.boundary_conditions import tip_condition
 from softrod_jax.rod.constants import Rod
 from softrod_jax.rod.constitutive import shortest_path
-from softrod_jax.rod.ode import History, Layout, sizes
-from softrod_jax.scene.planes import vector_in
+from softrod_jax.rod.ode import History, Layout
 
 # Where a solve fails with less than this left of the rod's length anywhere, or of a tendon's path,
 # that is why.
 _VANISHING = 0.02
-
-
-def loads_of(rod: Rod) -> list:
-    """Those that there are of tensions, pressures, gravity and tip loads."""
-    every = [rod.tau, rod.n_ch, rod.m_ch, rod.gravity, rod.weight, rod.F_tip, rod.M_tip]
-    every.append(rod.load_factor)
-    if rod.at_gaps is not None:
-        every += [x for load in rod.at_gaps for x in (load.F, load.M)]
-    return [x for x in every if x is not None]
-
-
-def with_loads(rod: Rod, loads: list) -> Rod:
-    """The rod under other loads, as `loads_of` has them."""
-    return eqx.tree_at(loads_of, rod, loads)
-
-
-def scaled_loads(rod: Rod, factor) -> Rod:
-    """The rod with all its loads times `factor`."""
-    return with_loads(rod, [factor * x for x in loads_of(rod)])
 
 
 class Found(NamedTuple):
@@ -75,90 +54,8 @@ class Solved(NamedTuple):
     factors: Any
 
 
-class Equations(NamedTuple):
-    """The equations of one problem, their Jacobian's factors and the correction.
-
-    `guess`: strains (points, 6) for pointwise solves, where the method has any.
-    """
-
-    method: AbstractMethod
-    layout: Layout
-    rod: Rod
-    history: History | None
-    guess: Float[Array, "points strain"]
-
-    @property
-    def _problem(self):
-        return self.rod, self.layout, self.history, self.guess
-
-    def base(self):
-        """(p, h, q, omega) at the clamp (paper eq. 13)."""
-        p = vector_in(self.rod.plane, self.rod.p_base)
-        h = self.rod.h_base if self.layout.attitude else None
-        still = jnp.zeros(self.layout.pair) if self.layout.dynamic else None
-        parts = [x for x in (p, h, still) if x is not None]
-        return jnp.concatenate(parts) if parts else jnp.zeros(0)
-
-    def start(self, guess: Guess):
-        """The unknowns at a guess, with the state of the clamp at the base."""
-        U = self.method.unknowns(guess, self.rod)
-        return U.at[0, : self.layout.base_size].set(self.base())
-
-    def residual(self, U):
-        """What is zero at the solution: along the rod, and at the tip as db = S da + g there."""
-        Y = self.method.states(U, self.layout)
-        tip = self._tip(Y).value - Y[-1, self.layout.base_size :]
-        return self.method.residual(U, *self._problem), tip
-
-    def factorise(self, U, safe=None):
-        """What `correct` needs."""
-        linear = self.method.linearise(U, *self._problem)
-        Y = self.method.states(U, self.layout)
-        slope = self._tip(Y).by_base_part
-        left, right = linear.left, linear.right
-        if safe is not None:
-            # A failed sample has no derivative: a solvable system with nothing in it.
-            eye = jnp.eye(self.layout.size)
-            left, right = jnp.where(safe, left, -eye), jnp.where(safe, right, eye)
-            slope = jnp.where(safe, slope, 0.0)
-        return factorise(left, right, slope), linear.inner
-
-    def correct(self, factors, F):
-        """The correction -J^-1 F of the unknowns."""
-        (sweeps, inner), (residual, tip) = factors, F
-        defect, condensed = self.method.condense(inner, residual)
-        return self.method.expand(inner, condensed, solve_sweeps(sweeps, defect, tip))
-
-    def scale(self, U):
-        """Sizes of the unknowns, (columns,): a bent rod's, and those of the answer so far."""
-        layout, n = self.layout, self.layout.size
-        states = sizes(U[:, :n], self.rod, layout, self.history)
-        if U.shape[-1] == n:
-            return states
-        stretch, bend = layout.split_strain(U[:, n:])
-        curvature = 1 / self.rod.L + jnp.max(jnp.abs(bend))
-        stretch = None if stretch is None else jnp.ones(layout.vector)
-        return layout.join(states, stretch, curvature * jnp.ones(layout.turn))
-
-    def fields(self, U) -> Guess:
-        """The rod at all points."""
-        return self.method.fields(U, *self._problem)
-
-    def error(self, U, factors) -> Float[Array, ""]:
-        """The estimated error of an equilibrium's tip from the grid, in lengths of the rod."""
-        tip = jnp.zeros(self.layout.pair)
-        correct = lambda residual: self.correct(factors, (residual, tip))
-        return self.method.error(U, self.rod, self.layout, self.guess, correct)
-
-    def _tip(self, Y):
-        history = self.history
-        if history is not None:
-            history = History(history.c0, history.strain[-1], history.velocity[-1])
-        return tip_condition(Y[-1], self.rod, self.layout, history)
-
-
 def search_directly(
-    equations: Equations, options: NewtonOptions, U, reused: ReusedFactors | None = None
+    equations: Equations, options: NewtonOptions, U: Unknowns, reused: ReusedFactors | None = None
 ):
     """Newton's method from `U`: the unknowns, how they were found, and the last factors."""
     layout = equations.layout
@@ -174,7 +71,7 @@ def search_directly(
     )
     one, stable = jnp.ones((), jnp.int32), jnp.array(True)
     if not layout.dynamic:
-        stable = has_no_conjugate_point(end.factors[0])
+        stable = equations.is_stable(end.y, end.factors)
     found = Found(end.result, end.iterations, end.correction, end.contraction, one, stable)
     return end.y, found, end.factors
 
@@ -215,8 +112,8 @@ def solve_boundary_value(
     if history is not None:
         ok = result == RESULTS.successful
         equations = equations._replace(history=slow_unless(ok, history))
-        U = jnp.where(ok, U, equations.start(jax.lax.stop_gradient(guess)))
-    fields = equations.fields(U)
+        U = chosen(ok, U, equations.start(jax.lax.stop_gradient(guess)))
+    fields, rod = equations.fields(U), rod.under(U.multipliers)
     failed = (result == RESULTS.diverged) | (result == RESULTS.max_iterations)
     gone = jnp.array(False)
     if rod.K_se is not None:
@@ -231,6 +128,11 @@ def solve_boundary_value(
         result = jnp.where(inaccurate, RESULTS.inaccurate, result)
     result = result.astype(jnp.int32)
     return Solved(fields, found._replace(result=result), factors)
+
+
+def chosen(condition, if_true, if_false):
+    """One of two pytrees."""
+    return jax.tree.map(lambda a, b: jnp.where(condition, a, b), if_true, if_false)
 
 
 def _least_stretch(rod: Rod, layout: Layout, strain: Float[Array, "points strain"]):
@@ -282,7 +184,8 @@ def _solve_jvp(primals, tangents, **settings):
     dynamic = jax.tree.map(lambda t, x: None if t is None else x, dot, inputs, is_leaf=absent)
     static = jax.tree.map(lambda t, x: x if t is None else None, dot, inputs, is_leaf=absent)
     begin = Equations(method, layout, rod, history, guess.strain).start(guess)
-    at = jnp.where(ok, U, begin)
+    at = chosen(ok, U, begin)
+    tight = None if U.multipliers is None else ok & (U.multipliers > 0)
 
     def tangent(dynamic, at, dot):
         def equations(dynamic):
@@ -295,7 +198,8 @@ def _solve_jvp(primals, tangents, **settings):
             # The pose of the clamp may depend on the inputs, too.
             here = equations(dynamic)
             base = here.base()
-            return here.residual(at.at[0, : base.size].set(base)), base
+            clamped = at._replace(along=at.along.at[0, : base.size].set(base))
+            return here.equalities(clamped, tight), base
 
         _, along = jax.linearize(by_inputs, dynamic)
         F_dot, base_dot = along(dot)
@@ -304,7 +208,7 @@ def _solve_jvp(primals, tangents, **settings):
         F_dot = jax.tree.map(lambda x: jnp.where(ok, x, 0.0), F_dot)
         factors = here.factorise(at, safe=ok)
         base_dot = jnp.where(ok, base_dot, 0.0)
-        return _follow(here, at, factors, F_dot, base_dot), factors
+        return _follow(here, at, factors, F_dot, base_dot, tight), factors
 
     # In reverse mode a motion keeps the unknowns of each solve, and not their Jacobian's
     # factors, which are 20 times as much.
@@ -314,33 +218,41 @@ def _solve_jvp(primals, tangents, **settings):
         # 0, and in a batch one for each sample, as the contraction is.
         found = found._replace(contraction=jnp.minimum(found.contraction, 0.0))
     none = jax.tree.map(lambda x: None, (found, factors))
-    return (U, found, factors), (jnp.where(ok, U_dot, 0.0), *none)
+    U_dot = jax.tree.map(lambda x: jnp.where(ok, x, 0.0), U_dot)
+    return (U, found, factors), (U_dot, *none)
 
 
-def _follow(equations: Equations, U, factors, F_dot, base_dot):
-    """How the unknowns follow a change of the equations, and of the state of the clamp."""
+def _follow(equations: Equations, U: Unknowns, factors, F_dot: Residual, base_dot, tight):
+    """How the unknowns follow a change of the equations, and of the state of the clamp.
+
+    `tight`: which conditions of a constraint stay without a gap; where one is about to become so,
+    or to open, the derivative is that of the side on which it has no multiplier.
+    """
     rhs, as_residual = ravel_pytree(F_dot)
+    _, as_unknowns = ravel_pytree(U)
     # The state of the clamp, the first entries of U, is given.
     a = equations.layout.base_size
 
     def linear(x):
-        dU = jnp.concatenate([jnp.zeros(a), x]).reshape(U.shape)
-        return ravel_pytree(jax.jvp(equations.residual, (U,), (dU,))[1])[0]
+        dU = as_unknowns(jnp.concatenate([jnp.zeros(a), x]))
+        return ravel_pytree(jax.jvp(lambda U: equations.equalities(U, tight), (U,), (dU,))[1])[0]
 
-    def solve(factors, b):
-        return equations.correct(factors, as_residual(-b)).ravel()[a:]
+    def solve(known, b):
+        factors, tight = known
+        correction = equations.correct_equalities(factors, as_residual(-b), tight)
+        return ravel_pytree(correction)[0][a:]
 
-    def transposed(factors, b):
-        return jax.linear_transpose(lambda x: solve(factors, x), b)(b)[0]
+    def transposed(known, b):
+        return jax.linear_transpose(lambda x: solve(known, x), b)(b)[0]
 
     # Several right-hand sides in lockstep take longer than in turn on a CPU.
     x = jax.lax.custom_linear_solve(
         linear,
         -rhs,
-        solve=lambda _, b: _in_turn(solve)(factors, b),
-        transpose_solve=lambda _, b: _in_turn(transposed)(factors, b),
+        solve=lambda _, b: _in_turn(solve)((factors, tight), b),
+        transpose_solve=lambda _, b: _in_turn(transposed)((factors, tight), b),
     )
-    return jnp.concatenate([base_dot, x]).reshape(U.shape)
+    return as_unknowns(jnp.concatenate([base_dot, x]))
 
 
 def _in_turn(function: Callable) -> Callable:

@@ -88,6 +88,12 @@ class Collocation(AbstractMethod):
     def _stride(self) -> int:
         return 1 + len(self._formula.c)
 
+    @property
+    def _rule(self) -> np.ndarray:
+        """Weights of the points of an interval in their order, both ends among them."""
+        left, right, *inner = self._formula.b
+        return np.array([left, *np.array(inner)[np.argsort(self._formula.c)], right])
+
     def finer(self) -> "Collocation":
         """Twice as many intervals."""
         division = None if self.division is None else self.division.finer()
@@ -104,10 +110,13 @@ class Collocation(AbstractMethod):
 
     def grid(self, scene: Scene) -> Grid:
         """Nodes and inner points."""
-        inner = np.concatenate([[0.0], np.sort(self._formula.c)])
+        inner, rule = np.concatenate([[0.0], np.sort(self._formula.c)]), self._rule
         if self.division is None:
-            return uniform_grid(scene.length, self.intervals, inner)
-        return divided_grid(scene, self.division, inner)
+            whole = np.zeros(self.intervals * self._stride + 1)
+            for k in range(self.intervals):
+                whole[k * self._stride : (k + 1) * self._stride + 1] += rule
+            return uniform_grid(scene.length, self.intervals, inner, whole)
+        return divided_grid(scene, self.division, inner, rule)
 
     def outputs(self, points: Float[Array, "points *rest"]) -> Float[Array, "nodes *rest"]:
         """The nodes."""

@@ -13,7 +13,8 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
-from softrod_jax.bvp.boundary_value import Equations, scaled_loads, search_directly
+from softrod_jax.bvp.boundary_value import search_directly
+from softrod_jax.bvp.equations import Equations, scaled_loads
 from softrod_jax.bvp.method import AbstractMethod, Guess
 from softrod_jax.bvp.newton import NewtonOptions
 from softrod_jax.foundation.results import RESULTS
@@ -72,7 +73,7 @@ def dynamic_relaxation(
     def at_rest(guess):
         still = jnp.zeros((*guess.y.shape[:-1], layout.pair))
         pose, wrench = jnp.split(guess.y, [layout.pose_size], axis=-1)
-        return Guess(moving.join(pose, still, wrench), guess.strain)
+        return guess._replace(y=moving.join(pose, still, wrench))
 
     def step(state):
         load = jnp.minimum(1.0, _LOWEST ** (1 - (state.loaded + 1) / _RISE))
@@ -87,7 +88,7 @@ def dynamic_relaxation(
         _, bend = layout.split_strain(new.strain - state.guess.strain)
         change = jnp.max(jnp.abs(bend)) * rod.L
         return _State(
-            jax.tree.map(lambda a, b: jnp.where(ok, a, b), Guess(new.y, new.strain), state.guess),
+            jax.tree.map(lambda a, b: jnp.where(ok, a, b), new, state.guess),
             jnp.where(ok, jnp.minimum(1.5 * state.h, _STEP * unit), 0.25 * state.h),
             jnp.where(ok & (load >= 1.0), change / (state.h / unit), jnp.inf),
             state.steps + 1,
@@ -101,7 +102,7 @@ def dynamic_relaxation(
     start = _State(at_rest(guess), _STEP * unit, jnp.array(jnp.inf), zero, zero)
     end = jax.lax.while_loop(goes_on, step, start)
     pose, wrench = end.guess.y[..., : layout.pose_size], end.guess.y[..., -layout.pair :]
-    last = Guess(layout.join(pose, wrench), end.guess.strain)
+    last = end.guess._replace(y=layout.join(pose, wrench))
     # The rate is known from the moment on at which all loads act.
     return Rest(last, jnp.isfinite(end.rate), end.rate <= _REST, end.steps)
 

@@ -71,6 +71,14 @@ def wide_defect(
     return Wide(y, defect if division is None else defect.at[division.gaps].set(0.0))
 
 
+def wide_weights(grid: Grid) -> Float[Array, "points"]:
+    """Weights [m] of the integral along the rod by a quadrature over several intervals."""
+    counts = (grid.intervals,) if grid.division is None else grid.division.counts
+    index, weights = _across_intervals(counts, grid.stride)
+    h = jnp.broadcast_to(grid.h, (grid.intervals,))[:, None]
+    return jnp.zeros(grid.s.shape[0]).at[index].add(h * weights)
+
+
 def tip_of(strain: Float[Array, "points 6"], grid: Grid) -> Float[Array, "3"]:
     """The tip of a rod clamped at the origin, with the spacing of its points halved."""
     counts = (grid.intervals,) if grid.division is None else grid.division.counts

@@ -6,7 +6,8 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array
 
-from softrod_jax.bvp.boundary_value import Equations, Found, scaled_loads, search_directly
+from softrod_jax.bvp.boundary_value import Found, chosen, search_directly
+from softrod_jax.bvp.equations import Equations, Unknowns, scaled_loads
 from softrod_jax.bvp.newton import NewtonOptions, no_factors
 from softrod_jax.foundation.results import RESULTS
 
@@ -23,9 +24,9 @@ class _Load(NamedTuple):
 
     load: Array
     step: Array
-    U: Array
+    U: Unknowns
     found: Found
-    before: Array
+    before: Unknowns
     before_load: Array
     factors: Any
     tries: Array
@@ -45,7 +46,7 @@ def search_by_load(equations: Equations, options: NewtonOptions, U, before=None)
         ahead = (load - state.load) / jnp.maximum(state.load - state.before_load, 1e-12)
         past = state.found
         ahead = jnp.where(past.load_steps > 1, ahead, 0.0)
-        start = state.U + ahead * (state.U - state.before)
+        start = jax.tree.map(lambda a, b: a + ahead * (a - b), state.U, state.before)
         loaded = equations._replace(rod=scaled_loads(equations.rod, load))
         new, found, factors = search_directly(loaded, options, start)
         converged = found.result == RESULTS.successful
@@ -71,9 +72,9 @@ def search_by_load(equations: Equations, options: NewtonOptions, U, before=None)
         return _Load(
             load=jnp.where(ok, load, state.load),
             step=step,
-            U=jnp.where(ok, new, state.U),
+            U=chosen(ok, new, state.U),
             found=found,
-            before=jnp.where(ok, state.U, state.before),
+            before=chosen(ok, state.U, state.before),
             before_load=jnp.where(ok, state.load, state.before_load),
             factors=factors,
             tries=tries,

@@ -20,10 +20,14 @@ from softrod_jax.scene.scene import Scene
 
 
 class Guess(NamedTuple):
-    """States and strains at the points of the method: of an answer, or where Newton starts."""
+    """States and strains at the points of the method: of an answer, or where Newton starts.
+
+    `multipliers`: those of the rod's constraint, where it has one.
+    """
 
     y: Float[Array, "points n"]
     strain: Float[Array, "points strain"]
+    multipliers: Float[Array, "conditions"] | None = None
 
 
 class Linear(NamedTuple):

@@ -6,6 +6,7 @@ how the equations are scaled, says directly how far the solution still is, and c
 Jacobian: while it falls fast, the same factors serve on, also from one problem to the next.
 """
 
+import functools
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
@@ -43,7 +44,7 @@ class NewtonResult(NamedTuple):
     that the start was well inside the basin of this solution.
     """
 
-    y: Array
+    y: Any
     factors: Any
     result: Int[Array, ""]
     iterations: Int[Array, ""]
@@ -59,8 +60,8 @@ class ReusedFactors(NamedTuple):
 
 
 class _State(NamedTuple):
-    y: Array
-    step: Array
+    y: Any
+    step: Any
     size: Float[Array, ""]
     damping: Float[Array, ""]
     contraction: Float[Array, ""]
@@ -86,15 +87,20 @@ def newton(
 
     - `evaluate(y)`: the equations F, a pytree; not finite where they cannot be evaluated.
     - `factorise(y)`: factors of the Jacobian there.
-    - `solve(factors, F)`: the correction -J^-1 F, of y's shape.
-    - `scale`: of y's shape or broadcast to it; corrections are measured by max |dy / scale|.
+    - `y`: an array, or a pytree of several.
+    - `solve(factors, F)`: the correction -J^-1 F, like y.
+    - `scale`: like y, or broadcast to it; corrections are measured by max |dy / scale|.
     - `exact_factors`: return the factors at the solution itself.
     - `reused`: factors to begin with; new ones are made as soon as these do not serve.
     """
 
     def size_of(step):
-        size = jnp.max(jnp.abs(step) / scale)
+        sizes = jax.tree.map(lambda dy, s: jnp.max(jnp.abs(dy) / s), step, scale)
+        size = functools.reduce(jnp.maximum, jax.tree.leaves(sizes))
         return jnp.where(jnp.isfinite(size), size, jnp.inf)
+
+    def moved(y, step, damping):
+        return jax.tree.map(lambda a, b: a + damping * b, y, step)
 
     def goes_on(state):
         return state.running & (state.iterations < options.max_iterations)
@@ -113,7 +119,9 @@ def newton(
                 (~state.reused, factors),
             )
         state = state._replace(
-            step=jnp.zeros_like(state.step), fresh=jnp.array(True), stale=jnp.array(False)
+            step=jax.tree.map(jnp.zeros_like, state.step),
+            fresh=jnp.array(True),
+            stale=jnp.array(False),
         )
         state = jax.lax.while_loop(
             lambda s: goes_on(s) & ~s.stale, lambda s: one_pass(s, factors), state
@@ -121,7 +129,7 @@ def newton(
         return state._replace(reused=jnp.array(False)), factors, last
 
     def one_pass(state, factors):
-        y = state.y + state.damping * state.step
+        y = moved(state.y, state.step, state.damping)
         step = solve(factors, evaluate(y))
         size = size_of(step)
         full = state.fresh | (state.damping == 1.0)
@@ -145,7 +153,7 @@ def newton(
         pick = lambda new, old: jax.tree.map(lambda a, b: jnp.where(accept, a, b), new, old)
         return _State(
             # A correction at rounding level is noise: it is not added.
-            y=pick(jnp.where(converged & small, y + step, y), state.y),
+            y=pick(moved(y, step, jnp.where(converged & small, 1.0, 0.0)), state.y),
             step=pick(step, state.step),
             size=pick(size, state.size),
             damping=jnp.where(state.fresh | useless, state.damping, damping),
@@ -160,7 +168,7 @@ def newton(
 
     start = _State(
         y=y,
-        step=jnp.zeros_like(y),
+        step=jax.tree.map(jnp.zeros_like, y),
         size=jnp.array(jnp.inf),
         damping=jnp.ones(()),
         contraction=jnp.zeros(()),

@@ -8,6 +8,7 @@ longer than a time step for one of its steps, c0 ds / c > 1. `Collocation` has n
 """
 
 import dataclasses
+import functools
 
 import diffrax
 import equinox as eqx
@@ -92,7 +93,7 @@ class Shooting(AbstractMethod):
 
     def grid(self, scene: Scene) -> Grid:
         """The ends of all steps."""
-        return uniform_grid(scene.length, self.segments * self.steps, np.zeros(1))
+        return _ends_of_steps(scene.length, self.segments * self.steps)
 
     def outputs(self, points: Float[Array, "points *rest"]) -> Float[Array, "points *rest"]:
         """All points: single shooting has no nodes but the two ends."""
@@ -135,7 +136,7 @@ class Shooting(AbstractMethod):
         halves = _Window(jnp.arange(2 * count - 1) / 2, count)
         between = halves.interpolate(guess)
         dense = rod.map_points(halves.interpolate)
-        grid = uniform_grid(rod.L, finer.segments * finer.steps, np.zeros(1))
+        grid = _ends_of_steps(rod.L, finer.segments * finer.steps)
         dense = eqx.tree_at(lambda r: r.grid, dense, grid)
         moved = correct(finer.residual(U, dense, layout, None, between))
         better = finer.fields(U + moved, dense, layout, None, between).strain
@@ -253,6 +254,24 @@ class Shooting(AbstractMethod):
             return (z, None), (z, jnp.full_like(z, jnp.nan))
 
         return advance, None
+
+
+def _ends_of_steps(length, steps: int) -> Grid:
+    return uniform_grid(length, steps, np.zeros(1), _rule(steps + 1))
+
+
+@functools.cache
+def _rule(count: int) -> np.ndarray:
+    """Weights of the integral over points 0, 1, .., `count` - 1: of the interpolation below."""
+    width = min(_WINDOW, count)
+    at, weights = np.arange(width), np.zeros(count)
+    conditions = np.vander(at, increasing=True).T
+    for k in range(count - 1):
+        first = np.clip(k - (width // 2 - 1), 0, count - width)
+        a = float(k - first)
+        moments = ((a + 1) ** (at + 1) - a ** (at + 1)) / (at + 1)
+        weights[first : first + width] += np.linalg.solve(conditions, moments)
+    return weights
 
 
 class _Window:

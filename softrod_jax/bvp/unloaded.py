@@ -21,7 +21,8 @@ def unloaded_guess(layout: Layout, rod: Rod) -> Guess:
     h = _attitudes(rod, layout) if layout.attitude else None
     p = _positions(rod, h) if layout.position else None
     rest = jnp.zeros((s.shape[0], layout.size - layout.pose_size))
-    return Guess(layout.join(p, h, rest), strain)
+    multipliers = None if rod.constraint is None else jnp.zeros(rod.constraint.count)
+    return Guess(layout.join(p, h, rest), strain, multipliers)
 
 
 def _positions(rod: Rod, h):

@@ -20,7 +20,8 @@ from softrod_jax.foundation.compiling import compiled
 from softrod_jax.foundation.numbers import ScalarLike
 from softrod_jax.foundation.precision import require_float64
 from softrod_jax.foundation.results import RESULTS, without_derivative
-from softrod_jax.rod.constants import clamp_pose, full_strain, make_rod
+from softrod_jax.rod.constants import full_strain
+from softrod_jax.rod.reduction import clamp_pose, make_rod
 from softrod_jax.rod.rotations import to_base
 from softrod_jax.rod.validity import usable, usable_in_time
 from softrod_jax.scene.checks import checked_scene

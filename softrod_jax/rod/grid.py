@@ -88,12 +88,15 @@ class Grid(eqx.Module):
 
     - `length` [m]; `s` [m], (points,); `h` [m]: the length of the intervals, one for all or, with
       a `division`, (intervals,). `stride`: points to an interval.
+    - `rule`: weights of a quadrature, in lengths of an interval: of all points of the rod or, with
+      a `division`, of those of an interval with both of its ends.
     """
 
     length: Scalar
     s: Float[Array, "points"]
     h: Float[Array, "..."]
     stride: int = eqx.field(static=True)
+    rule: tuple[float, ...] = eqx.field(static=True)
     division: Division | None = eqx.field(static=True, default=None)
 
     @property
@@ -112,10 +115,13 @@ class Grid(eqx.Module):
 
     @property
     def weights(self) -> Float[Array, "points"]:
-        """Of the trapezoidal rule [m]."""
-        gaps = jnp.diff(self.s)
-        zero = jnp.zeros(1)
-        return 0.5 * (jnp.concatenate([zero, gaps]) + jnp.concatenate([gaps, zero]))
+        """Of the quadrature along the rod [m]."""
+        rule = np.array(self.rule)
+        if self.division is None:
+            return self.h * rule
+        of_each = self.h[:, None] * rule
+        weights = jnp.append(of_each[:, :-1].ravel(), 0.0)
+        return weights.at[self.stride :: self.stride].add(of_each[:, -1])
 
     def mean(self, values: Float[Array, "points n"]) -> Float[Array, "n"]:
         """Along the rod, of what is at the points."""
@@ -202,14 +208,14 @@ def _counts(scene: Scene, ends: list[float], intervals: int, length: float) -> t
     return tuple(counts)
 
 
-def uniform_grid(length, intervals: int, inner: np.ndarray) -> Grid:
-    """Equal intervals with points at `inner`, (stride,), in [0, 1) of each."""
+def uniform_grid(length, intervals: int, inner: np.ndarray, rule: np.ndarray) -> Grid:
+    """Equal intervals with points at `inner`, (stride,), in [0, 1) of each; `rule`: see `Grid`."""
     grid = (np.arange(intervals)[:, None] + inner).ravel() / intervals
     s = length * jnp.array(np.append(grid, 1.0))
-    return Grid(length, s, length / intervals, len(inner))
+    return Grid(length, s, length / intervals, len(inner), tuple(rule.tolist()))
 
 
-def divided_grid(scene: Scene, division: Division, inner: np.ndarray) -> Grid:
+def divided_grid(scene: Scene, division: Division, inner: np.ndarray, rule: np.ndarray) -> Grid:
     """As `uniform_grid`, in each part of a scene's rod."""
     ends = ends_of_parts(scene, division)
     spacing = [(b - a) / max(n, 1) for n, a, b in zip(division.counts, ends[:-1], ends[1:])]
@@ -221,7 +227,8 @@ def divided_grid(scene: Scene, division: Division, inner: np.ndarray) -> Grid:
         s.append((a + d * (np.arange(n)[:, None] + inner)).ravel())
         h.append(jnp.broadcast_to(d, (n,)))
     s.append(jnp.reshape(jnp.asarray(scene.length), 1))
-    return Grid(scene.length, jnp.concatenate(s), jnp.concatenate(h), len(inner), division)
+    s, h, rule_of_each = jnp.concatenate(s), jnp.concatenate(h), tuple(rule.tolist())
+    return Grid(scene.length, s, h, len(inner), rule_of_each, division)
 
 
 def ends_of_parts(scene: Scene, division: Division) -> list:
@@ -240,3 +247,13 @@ def gap_of_places(scene: Scene, division: Division) -> Int[Array, "places"]:
         return jnp.array(division.at, dtype=int)
     values = jnp.stack([jnp.asarray(x) for x in places_of(scene).values])
     return jnp.argsort(jnp.argsort(values))
+
+
+def division_of(grid: Grid) -> Division:
+    """Where parts of the rod begin and end. Raises `ValueError` for a grid without nodes there."""
+    if grid.division is None:
+        raise ValueError(
+            "this method along the rod has no nodes where segments, tendons or chambers end; "
+            "use Collocation"
+        )
+    return grid.division

@@ -8,7 +8,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
-from softrod_jax.rod.constants import make_rod
+from softrod_jax.rod.reduction import make_rod
 from softrod_jax.scene.checks import can_be, harmless_unless
 from softrod_jax.scene.inputs import Inputs
 from softrod_jax.scene.scene import Scene

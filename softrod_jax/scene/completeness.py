@@ -13,6 +13,7 @@ import numpy as np
 from softrod_jax.scene.ranges import numbers_of
 from softrod_jax.scene.scene import Scene
 from softrod_jax.scene.segments import Segment, Stiffness
+from softrod_jax.scene.tendons import Tendons
 
 Breach = tuple[str, Any, str]
 
@@ -38,6 +39,20 @@ def incomplete(scene: Scene) -> Iterator[Breach]:
         yield from _twice(segment, f"segments[{i}]")
     yield from _material(scene)
     yield from _names(scene)
+    yield from _tendons(scene)
+
+
+def _tendons(scene: Scene) -> Iterator[Breach]:
+    """What only tendons driven by their length have."""
+    tendons = scene.tendons
+    if type(tendons) is not Tendons:
+        return
+    for name in ("stiffness", "pretension"):
+        each = getattr(tendons, name) or ()
+        for i, value in enumerate(each):
+            if value is not None and i not in tendons.by_length:
+                remedy = 'its tension is given; leave it out, or control = "length"'
+                yield f"tendons[{i}].{name}", _plain(value), remedy
 
 
 def _shape(owner: Scene | Segment, key: str, otherwise: str) -> Iterator[Breach]:
@@ -118,7 +133,11 @@ def _names(scene: Scene) -> Iterator[Breach]:
 
 def _shown(owner, name: str):
     """A number as it is written, where it is known."""
+    return _plain(getattr(owner, name))
+
+
+def _plain(value):
     try:
-        return np.asarray(getattr(owner, name)).tolist()
+        return np.asarray(value).tolist()
     except Exception:  # noqa: BLE001 - traced, or no number at all
-        return getattr(owner, name)
+        return value

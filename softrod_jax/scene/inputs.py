@@ -11,32 +11,55 @@ from jaxtyping import Array, Bool, Float
 
 from softrod_jax.foundation.numbers import ManyLike, RowsLike
 from softrod_jax.scene.scene import Scene
+from softrod_jax.scene.tendons import driven_by_length
 
 
 class Inputs(NamedTuple):
     """What drives a rod: one value for each actuator or, in a motion, one row a step.
 
-    `tensions` [N], (tendons,), and `pressures` [Pa], (chambers,). `None`: those actuators are left
-    out of the program. What handles inputs handles this pytree; only their physics knows names.
+    `tensions` [N] of the tendons driven by tension, `pressures` [Pa], (chambers,), and `pulls` [m]
+    of the tendons driven by length: by how much each is shorter than at rest. `None`: those
+    actuators are left out of the program. What handles inputs handles this pytree; only their
+    physics knows names.
     """
 
     tensions: ManyLike | RowsLike | None = None
     pressures: ManyLike | RowsLike | None = None
+    pulls: ManyLike | RowsLike | None = None
 
 
-class _Kind(NamedTuple):
-    """Which part of a scene an input drives, its unit, and how low it may be and why."""
+class Kind(NamedTuple):
+    """A kind of inputs.
 
+    - `name` in `Inputs`; `part`: what of a scene it drives, and `of` that, in the plural, for
+      messages; `unit`; `column`: of a log, with its number instead of "{}".
+    - `at_least`: how low it may be, for what `reason`.
+    """
+
+    name: str
     part: str
+    of: str
     unit: str
+    column: str
     at_least: float = -np.inf
     reason: str = ""
 
+    def count(self, scene: Scene) -> int:
+        """How many actuators of a scene it drives."""
+        actuators = getattr(scene, self.part)
+        if actuators is None:
+            return 0
+        if self.part != "tendons":
+            return actuators.count
+        by_length = len(driven_by_length(actuators))
+        return by_length if self.name == "pulls" else actuators.count - by_length
+
 
 # Those of the inputs, in their order.
-_KINDS = (
-    _Kind("tendons", "N", 0.0, "a tendon can only pull"),
-    _Kind("chambers", "Pa"),
+KINDS = (
+    Kind("tensions", "tendons", "tendons", "N", "tau{}_N", 0.0, "a tendon can only pull"),
+    Kind("pressures", "chambers", "chambers", "Pa", "p{}_Pa"),
+    Kind("pulls", "tendons", "tendons driven by length", "m", "pull{}_m"),
 )
 
 
@@ -46,23 +69,23 @@ def checked_inputs(who: str, scene: Scene, inputs: Inputs, ndim: int) -> Inputs:
     `ndim` 1: one value an actuator; 2: one row a step. Raises `ValueError` for an actuator that
     the scene does not have, a wrong shape, a value that is not finite, or a negative tension.
     """
-    each = zip(Inputs._fields, _KINDS, inputs, strict=True)
-    return Inputs(*(_checked(who, scene, name, kind, given, ndim) for name, kind, given in each))
+    each = zip(KINDS, inputs, strict=True)
+    return Inputs(*(_checked(who, scene, kind, given, ndim) for kind, given in each))
 
 
-def _checked(who, scene, name, kind, given, ndim):
+def _checked(who, scene, kind, given, ndim):
     if given is None:
         return None
-    actuators, part = getattr(scene, kind.part), kind.part
+    count, name, part = kind.count(scene), kind.name, kind.of
     try:
         values = jnp.asarray(given, dtype=float)
     except (TypeError, ValueError):
         raise ValueError(f"{who}: {name} = {given!r} is not an array of numbers") from None
-    if actuators is None:
+    if count == 0:
         raise ValueError(
             f"{who}: {name} given, but the scene has no {part}; leave {name} out, or add {part}"
+            + _other_input(scene, kind)
         )
-    count = actuators.count
     shape = f"({count},)" if ndim == 1 else f"(steps, {count})"
     if values.ndim != ndim or values.shape[-1] != count:
         raise ValueError(f"{who}: {name} has shape {values.shape}; the scene's {part} need {shape}")
@@ -79,16 +102,22 @@ def _checked(who, scene, name, kind, given, ndim):
     return values
 
 
+def _other_input(scene: Scene, kind: Kind) -> str:
+    """What drives a scene's tendons instead, where it has any."""
+    if scene.tendons is None or kind.part != "tendons":
+        return ""
+    given = "tension" if kind.name == "pulls" else "length"
+    return f' (the scene\'s tendons have control = "{given}")'
+
+
 def filled(scene: Scene, inputs: Inputs, rows: tuple[int, ...] = ()) -> Inputs:
     """The inputs with zeros, (*rows, actuators), for actuators of the scene that have none."""
 
     def one(kind, values):
-        actuators = getattr(scene, kind.part)
-        if values is not None or actuators is None:
-            return values
-        return jnp.zeros((*rows, actuators.count))
+        count = kind.count(scene)
+        return jnp.zeros((*rows, count)) if values is None and count else values
 
-    return Inputs(*map(one, _KINDS, inputs))
+    return Inputs(*map(one, KINDS, inputs))
 
 
 def _is_number(given) -> bool:
@@ -122,7 +151,7 @@ def whole_number(who: str, name: str, value) -> int:
 def good_inputs(inputs: Inputs) -> Bool[Array, "*rows"]:
     """Whether all inputs are finite and none is too low, such as a tension below zero; by row."""
     good = jnp.array(True)
-    for kind, values in zip(_KINDS, inputs, strict=True):
+    for kind, values in zip(KINDS, inputs, strict=True):
         if values is not None:
             values = jnp.asarray(values)
             good &= jnp.all(jnp.isfinite(values) & (values >= kind.at_least), axis=-1)

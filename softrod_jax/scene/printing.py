@@ -17,7 +17,7 @@ from softrod_jax.scene.ranges import ANY, Number, numbers_of
 _MOST_PARTS = 8
 _MOST_NUMBERS = 12
 # What need not be said.
-_USUAL = {"guided": "rod", "frame": "base", "inextensible": False}
+_USUAL = {"guided": "rod", "control": "tension", "frame": "base", "inextensible": False}
 # Tables beside that of the rod.
 _OTHERS = (
     *("segments", "tendons", "chambers", "payload", "tip_load"),
@@ -126,9 +126,9 @@ def _row(part, i: int) -> str:
         if number.per_actuator:
             one = dataclasses.replace(number, per_actuator=False)
             texts.append(f"{name.removesuffix('s')} = {_quantity(value[i], one)}")
-        elif name == "guided":
-            if part.guides[i] != _USUAL["guided"]:
-                texts.append(f"guided = {part.guides[i]}")
+        elif name in ("guided", "control"):
+            if part.words(name)[i] != _USUAL[name]:
+                texts.append(f"{name} = {part.words(name)[i]}")
         elif isinstance(value, tuple) and len(value) == part.count:
             if value[i] is not None:
                 texts.append(f"{name.removesuffix('s')} = {_value(value[i], number)}")

@@ -125,6 +125,9 @@ def _tendons(entries: list) -> Tendons | None:
         starts_at=[table.get("starts_at") for table in tables],
         ends_at=[table.get("ends_at") for table in tables],
         guided=[table.get("guided", "rod") for table in tables],
+        control=[table.get("control", "tension") for table in tables],
+        stiffness=[table.get("stiffness") for table in tables],
+        pretension=[table.get("pretension") for table in tables],
     )
 
 

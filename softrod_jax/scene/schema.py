@@ -17,7 +17,7 @@ from softrod_jax.scene.ranges import Number, is_required, numbers_of
 from softrod_jax.scene.scene import PLANES, Scene
 from softrod_jax.scene.sections import Annulus, Circle, GeneralSection, Rectangle
 from softrod_jax.scene.segments import Segment, Stiffness
-from softrod_jax.scene.tendons import GUIDES, Helix, Line, Points, Tendons
+from softrod_jax.scene.tendons import CONTROLS, GUIDES, Helix, Line, Points, Tendons
 
 
 class SceneError(ValueError):
@@ -208,6 +208,9 @@ TENDON: Schema = {
     "starts_at": Numbers(numbers_of(Tendons)["starts_at"]),
     "ends_at": Numbers(numbers_of(Tendons)["ends_at"]),
     "guided": Word(GUIDES),
+    "control": Word(CONTROLS),
+    "stiffness": Numbers(numbers_of(Tendons)["stiffness"]),
+    "pretension": Numbers(numbers_of(Tendons)["pretension"]),
 }
 # The keys of a path, and which fields of its class they are where that is not the same.
 PATHS: dict[str, tuple[type, Schema]] = {

@@ -19,6 +19,7 @@ from softrod_jax.scene.ranges import number, one_for_each
 Scalar = Float[Array, ""]
 
 GUIDES = ("rod", "disks")
+CONTROLS = ("tension", "length")
 # Numbers that single tendons or chambers have, or not.
 Each = Sequence[ScalarLike | None]
 
@@ -111,9 +112,9 @@ def _spline_slopes(x: Float[Array, "n"], y: Float[Array, "n 2"]) -> Float[Array,
     return jnp.linalg.solve(A, b)
 
 
-def _guides(guided):
-    """One word where all are guided by the same."""
-    words = (guided,) if isinstance(guided, str) else tuple(guided)
+def _words(words):
+    """One word where it is the same for all."""
+    words = (words,) if isinstance(words, str) else tuple(words)
     return words[0] if words and all(word == words[0] for word in words) else words
 
 
@@ -126,6 +127,11 @@ class Tendons(eqx.Module):
       `None` for the base and for the tip.
     - `guided`: "rod", inside the sections, or "disks", which may carry it outside; one for each or
       one for all.
+    - `control`: what drives it, "tension" [N] or "length": a pull [m], by which its actuator
+      shortens it; one for each or one for all. One driven by its length goes slack rather than
+      push.
+    - `stiffness` [N/m]: of a tendon driven by its length, all of it; `None` for one that does not
+      stretch. `pretension` [N]: its tension at pull 0, in the rod without loads; `None` for 0.
     """
 
     offsets: Given[RowsLike] = number(
@@ -134,15 +140,21 @@ class Tendons(eqx.Module):
     paths: Sequence[AbstractPath | None] | None = eqx.field(default=None, converter=one_for_each)
     starts_at: Each | None = number("m", each=True, at_least=0)
     ends_at: Each | None = number("m", each=True, above=0, harmless=1.0)
-    guided: str | Sequence[str] = eqx.field(static=True, default="rod", converter=_guides)
+    guided: str | Sequence[str] = eqx.field(static=True, default="rod", converter=_words)
+    control: str | Sequence[str] = eqx.field(static=True, default="tension", converter=_words)
+    stiffness: Each | None = number("N/m", each=True, above=0, harmless=1.0)
+    pretension: Each | None = number("N", each=True, at_least=0)
 
     def __check_init__(self):
-        for name in ("paths", "starts_at", "ends_at"):
+        for name in ("paths", "starts_at", "ends_at", "stiffness", "pretension"):
             check_each("Tendons", name, getattr(self, name), self.count, "tendon")
-        for way in self.guides:
-            if way not in GUIDES:
-                raise ValueError(f'Tendons: guided={way!r} is not offered; use "rod" or "disks"')
-        check_each("Tendons", "guided", self.guides, self.count, "tendon")
+        for name, offered in (("guided", GUIDES), ("control", CONTROLS)):
+            words = self.words(name)
+            for word in words:
+                if word not in offered:
+                    either = " or ".join(f'"{x}"' for x in offered)
+                    raise ValueError(f"Tendons: {name}={word!r} is not offered; use {either}")
+            check_each("Tendons", name, words, self.count, "tendon")
         for path in self.paths or ():
             if not (path is None or isinstance(path, AbstractPath)):
                 raise ValueError(f"Tendons: a path {path!r}; use Helix, Line, Points or None")
@@ -154,7 +166,17 @@ class Tendons(eqx.Module):
     @property
     def guides(self) -> tuple[str, ...]:
         """By what each is guided."""
-        return (self.guided,) * self.count if isinstance(self.guided, str) else tuple(self.guided)
+        return self.words("guided")
+
+    @property
+    def by_length(self) -> tuple[int, ...]:
+        """The numbers of those whose length is given."""
+        return tuple(i for i, x in enumerate(self.words("control")) if x == "length")
+
+    def words(self, name: str) -> tuple[str, ...]:
+        """For each what it says as `guided` or `control`."""
+        words = getattr(self, name)
+        return (words,) * self.count if isinstance(words, str) else tuple(words)
 
     def part(self, i: int, length) -> tuple[ScalarLike, ScalarLike]:
         """Where tendon `i` of a rod of this `length` begins and ends [m]."""
@@ -195,6 +217,11 @@ class Tendons(eqx.Module):
             slopes.append(slope)
         flat = lambda a: jnp.concatenate([a, jnp.zeros_like(a[..., :1])], -1)
         return r + flat(jnp.stack(places, -2)), flat(jnp.stack(slopes, -2))
+
+
+def driven_by_length(tendons) -> tuple[int, ...]:
+    """The numbers of the tendons whose length is given; of another class of tendons there are none."""
+    return tendons.by_length if type(tendons) is Tendons else ()
 
 
 def part_of(actuators, i: int, length):

@@ -35,7 +35,8 @@ def document_of(scene: Scene, file: str) -> dict:
     if scene.chambers is not None:
         pairs = zip(_plain(scene.chambers.areas), _plain(scene.chambers.offsets), strict=True)
         document["chambers"] = [
-            {"area": a, "offset": x, **_ends(scene.chambers, i)} for i, (a, x) in enumerate(pairs)
+            {"area": a, "offset": x, **_of_each(scene.chambers, i, ("starts_at", "ends_at"))}
+            for i, (a, x) in enumerate(pairs)
         ]
     if scene.payload is not None:
         document["payload"] = _values(scene.payload, schema.PAYLOAD)
@@ -85,15 +86,16 @@ def _tendons(tendons, file: str) -> list[dict]:
             table["offset"] = offset
         if path is not None:
             table["path"] = _with_shape(path, _PATHS, schema.PATHS, f"{file} tendons[{i}].path")
-        table |= _ends(tendons, i)
-        if tendons.guides[i] != "rod":
-            table["guided"] = tendons.guides[i]
+        table |= _of_each(tendons, i, ("starts_at", "ends_at"))
+        words = {"guided": "rod", "control": "tension"}
+        table |= {k: w for k, usual in words.items() if (w := tendons.words(k)[i]) != usual}
+        table |= _of_each(tendons, i, ("stiffness", "pretension"))
         tables.append(table)
     return tables
 
 
-def _ends(actuators, i: int) -> dict:
-    given = {name: getattr(actuators, name) for name in ("starts_at", "ends_at")}
+def _of_each(actuators, i: int, names) -> dict:
+    given = {name: getattr(actuators, name) for name in names}
     return {k: _plain(x[i]) for k, x in given.items() if x is not None and x[i] is not None}
 
 

@@ -12,14 +12,8 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from softrod_jax.bvp.boundary_value import (
-    Equations,
-    Found,
-    loads_of,
-    search_directly,
-    with_loads,
-)
-from softrod_jax.bvp.method import Guess
+from softrod_jax.bvp.boundary_value import Found, chosen, search_directly
+from softrod_jax.bvp.equations import Equations, Unknowns, loads_of, with_loads
 from softrod_jax.bvp.newton import NewtonOptions, ReusedFactors
 from softrod_jax.foundation.results import RESULTS
 from softrod_jax.rod.ode import History
@@ -47,7 +41,7 @@ class _Way(NamedTuple):
 
     done: Array
     advance: Array
-    U: Array
+    U: Unknowns
     found: Found
     factors: Any
     tries: Array
@@ -84,8 +78,8 @@ def search_by_inertia(equations: Equations, options: NewtonOptions, U, before: B
         c = c0 / part
         history = History(c, strain_h + (c0 - c) * strain, velocity_h + (c0 - c) * velocity)
         between = [change * a + (1 - change) * b for a, b in zip(loads, before.loads)]
-        moving = equations.start(Guess(start.y, strain))
-        return history, between, jnp.where(state.done == 0.0, moving, state.U)
+        moving = equations.start(start._replace(strain=strain))
+        return history, between, chosen(state.done == 0.0, moving, state.U)
 
     def attempt(state):
         at = jnp.minimum(_GOAL, state.done + state.advance)
@@ -103,7 +97,7 @@ def search_by_inertia(equations: Equations, options: NewtonOptions, U, before: B
         return _Way(
             done=jnp.where(ok, at, state.done),
             advance=advance,
-            U=jnp.where(ok, new, state.U),
+            U=chosen(ok, new, state.U),
             found=found._replace(
                 iterations=past.iterations + found.iterations,
                 load_steps=past.load_steps + ok,

@@ -11,7 +11,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
-from softrod_jax.bvp.boundary_value import with_loads
+from softrod_jax.bvp.equations import with_loads
 from softrod_jax.bvp.method import AbstractMethod
 from softrod_jax.bvp.newton import NewtonOptions
 from softrod_jax.foundation.results import RESULTS
@@ -27,11 +27,12 @@ from softrod_jax.stepping.time_error import grown
 
 
 class March(NamedTuple):
-    """Fields at the end of every step, velocities as a user sees them, codes and counts."""
+    """Fields and multipliers at the end of every step, velocities as a user sees them, and codes."""
 
     strains: Float[Array, "steps points n"]
     velocities: Float[Array, "steps outputs m"]
     results: Int[Array, "steps"]
+    multipliers: Float[Array, "steps conditions"] | None
     stats: dict
 
 
@@ -63,8 +64,8 @@ class Stepping(NamedTuple):
     def _error(self, state: State) -> Float[Array, ""]:
         """Along the rod, estimated, in lengths."""
         method, layout, progress = self.moving.method, self.moving.layout, state.progress
-        rod = with_loads(self.moving.rod, progress.loads)
         guess = progress.guess
+        rod = with_loads(self.moving.rod, progress.loads).under(guess.multipliers)
         return method.error_in_motion(guess, rod, layout, progress.history, guess.strain)
 
     def _seen(self, state: State, progress, count) -> March:
@@ -81,6 +82,7 @@ class Stepping(NamedTuple):
             state.fields.strain,
             method.outputs(state.fields.velocity),
             jnp.where(coarse, RESULTS.inaccurate, result).astype(jnp.int32),
+            progress.multipliers,
             stats,
         )
 
@@ -121,5 +123,8 @@ def march(stepping: Stepping, inputs: Inputs, begin: Beginning | None, steps: in
     results = jnp.where(inaccurate, RESULTS.inaccurate, seen.results)
     strains = jnp.concatenate([start.fields.strain[None], seen.strains])
     velocities = jnp.concatenate([jnp.zeros_like(seen.velocities[:1]), seen.velocities])
-    rod = moving.rod
-    return March(full_strain(strains, rod), in_space(velocities, rod.plane), results, seen.stats)
+    rod, multipliers = moving.rod, seen.multipliers
+    if multipliers is not None:
+        multipliers = jnp.concatenate([start.progress.multipliers[None], multipliers])
+    strains, velocities = full_strain(strains, rod), in_space(velocities, rod.plane)
+    return March(strains, velocities, results, multipliers, seen.stats)

@@ -11,20 +11,16 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
-from softrod_jax.bvp.boundary_value import (
-    Equations,
-    loads_of,
-    scaled_loads,
-    slow_unless,
-    solve_boundary_value,
-)
+from softrod_jax.bvp.boundary_value import slow_unless, solve_boundary_value
+from softrod_jax.bvp.equations import Equations, loads_of, scaled_loads
 from softrod_jax.bvp.method import AbstractMethod, Guess
 from softrod_jax.bvp.newton import NewtonOptions, ReusedFactors, no_factors
 from softrod_jax.bvp.unloaded import unloaded_guess
 from softrod_jax.foundation.results import RESULTS
-from softrod_jax.rod.constants import Rod, fastest_wave, inner_strain, make_rod
+from softrod_jax.rod.constants import Rod, fastest_wave, inner_strain
 from softrod_jax.rod.grid import Grid
 from softrod_jax.rod.ode import History, Layout, layout_of
+from softrod_jax.rod.reduction import make_rod
 from softrod_jax.scene.inputs import Inputs, good_inputs, zero_unless
 from softrod_jax.scene.scene import Scene
 from softrod_jax.stepping.inertial_continuation import Before, search_by_inertia
@@ -48,16 +44,17 @@ class Fields(NamedTuple):
 
 
 class Beginning(NamedTuple):
-    """The equilibrium in which a motion begins, and its result code."""
+    """The equilibrium in which a motion begins, and its result code; multipliers as in `Guess`."""
 
     strain: Float[Array, "points 6"]
     result: Int[Array, ""]
+    multipliers: Float[Array, "conditions"] | None = None
 
 
 class Progress(NamedTuple):
     """What a solve hands to the next, besides the memory of the time scheme.
 
-    - `guess`: the last solution; `loads` and `history`: those of the last solve; `rate`: that of
+    - `guess`: the last solution; `multipliers`: those of it, with their derivatives; `loads` and `history`: those of the last solve; `rate`: that of
       the strains there; `factors` of the last Jacobian, made with `c0`, which is 0 where they
       serve no longer.
     - `result`: the code so far. `iterations` and `correction`: in this step.
@@ -66,6 +63,7 @@ class Progress(NamedTuple):
     """
 
     guess: Guess
+    multipliers: Float[Array, "conditions"] | None
     loads: list
     rate: Float[Array, "points strain"]
     history: History
@@ -118,10 +116,14 @@ class MovingRod(NamedTuple):
         `good`: whether there can be such a scene; see `rod/validity.py`.
         """
         guess, result = self.unloaded, RESULTS.successful
+        multipliers = guess.multipliers
         if begin is not None:
             begun = good & jnp.all(jnp.isfinite(begin.strain))
             strain = jnp.where(begun, inner_strain(begin.strain, self.rod), guess.strain)
             guess, result = guess._replace(strain=strain), begin.result
+            if multipliers is not None and begin.multipliers is not None:
+                multipliers = jnp.where(begun, begin.multipliers, 0.0)
+                guess = guess._replace(multipliers=jax.lax.stop_gradient(multipliers))
         still = jnp.zeros((*guess.strain.shape[:-1], self.layout.pair))
         steady = jnp.zeros_like(guess.strain)
         history = History(jnp.ones(()), steady, still)
@@ -129,6 +131,7 @@ class MovingRod(NamedTuple):
         none = jnp.zeros(())
         progress = Progress(
             guess=guess,
+            multipliers=multipliers,
             loads=loads_of(scaled_loads(self.rod, 0.0)),
             rate=steady,
             history=history,
@@ -170,7 +173,8 @@ class MovingRod(NamedTuple):
         # No answer depends on where the next search starts, or on estimates: they have no
         # derivatives to carry along.
         progress = progress._replace(
-            guess=jax.lax.stop_gradient(Guess(fields.y, fields.strain)),
+            guess=jax.lax.stop_gradient(fields),
+            multipliers=fields.multipliers,
             loads=jax.lax.stop_gradient(loads_of(rod)),
             rate=jax.lax.stop_gradient(c0 * fields.strain + slowed.strain),
             factors=solved.factors,
@@ -207,7 +211,7 @@ class MovingRod(NamedTuple):
         unless_failed = lambda new, old: jax.tree.map(lambda a, b: jnp.where(ok, a, b), new, old)
         memory = unless_failed(new_memory, jax.lax.stop_gradient(memory))
         after = after._replace(time_error=time_error)
-        last = ("guess", "loads", "rate", "history", "time_error")
+        last = ("guess", "multipliers", "loads", "rate", "history", "time_error")
         pick = lambda progress: {name: getattr(progress, name) for name in last}
         return State(memory, after._replace(**unless_failed(pick(after), pick(progress)))), errors
 

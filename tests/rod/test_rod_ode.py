@@ -8,7 +8,7 @@ from paper_form import balance, material_wrench
 
 import softrod_jax as sr
 from softrod_jax.rod.boundary_conditions import tip_condition
-from softrod_jax.rod.constants import make_rod
+from softrod_jax.rod.reduction import make_rod
 from softrod_jax.rod.constitutive import compliance, imbalance, local_problem, recover_strain
 from softrod_jax.rod.grid import uniform_grid
 from softrod_jax.rod.ode import (

@@ -1,0 +1,260 @@
+"""The equations of one problem along the rod, their Jacobian's factors and the correction.
+
+A rod with a constraint has more unknowns than those along it, the multipliers, and as many more
+conditions. The Jacobian is then that of the rod with a border,
+
+    [ A  B ] [dU]     [F]         U: unknowns along the rod, x: multipliers >= 0,
+    [ C  D ] [dx] = - [g]         g: gaps >= 0, each zero where its multiplier is not.
+
+The sweeps that solve with A give A^-1 B, one right-hand side for each multiplier, and so the gaps as
+a function of the multipliers alone, to first order: g + C dU with dU = -A^-1 (F + B dx). Which
+multipliers are zero is decided there, in a small linear complementarity problem (Newton's method
+of Josephy), and not by trial in Newton's iterations: tendons go slack and taut without a
+change of the factors.
+"""
+
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float
+
+from softrod_jax.bvp.block_sweep import count_conjugate_points, factorise, solve_sweeps
+from softrod_jax.bvp.complementarity import complementary, shared
+from softrod_jax.bvp.grid_error import wide_weights
+from softrod_jax.bvp.method import AbstractMethod, Guess
+from softrod_jax.rod.boundary_conditions import tip_condition
+from softrod_jax.rod.constants import Rod
+from softrod_jax.rod.ode import History, Layout, sizes
+from softrod_jax.scene.planes import vector_in
+
+
+def loads_of(rod: Rod) -> list:
+    """Those that there are of tensions, pressures, gravity and tip loads."""
+    every = [rod.tau, rod.n_ch, rod.m_ch, rod.gravity, rod.weight, rod.F_tip, rod.M_tip]
+    every.append(rod.load_factor)
+    if rod.constraint is not None:
+        every += rod.constraint.loads
+    if rod.at_gaps is not None:
+        every += [x for load in rod.at_gaps for x in (load.F, load.M)]
+    return [x for x in every if x is not None]
+
+
+def with_loads(rod: Rod, loads: list) -> Rod:
+    """The rod under other loads, as `loads_of` has them."""
+    return eqx.tree_at(loads_of, rod, loads)
+
+
+def scaled_loads(rod: Rod, factor) -> Rod:
+    """The rod with all its loads times `factor`."""
+    return with_loads(rod, [factor * x for x in loads_of(rod)])
+
+
+class Unknowns(NamedTuple):
+    """Those along the rod, as its method has them, and multipliers where the rod has any."""
+
+    along: Float[Array, "rows columns"]
+    multipliers: Float[Array, "conditions"] | None = None
+
+
+class Residual(NamedTuple):
+    """What is zero at the solution, along the rod and at the tip; gaps beside multipliers."""
+
+    along: Any
+    tip: Float[Array, "pair"]
+    gaps: Float[Array, "conditions"] | None = None
+    multipliers: Float[Array, "conditions"] | None = None
+
+
+class Border(NamedTuple):
+    """How unknowns and gaps follow the multipliers, and gaps the unknowns.
+
+    `along`: -A^-1 B; `gaps_by_along`: C; `gaps`: D - C A^-1 B.
+    """
+
+    along: Float[Array, "conditions rows columns"]
+    gaps_by_along: Float[Array, "conditions rows columns"]
+    gaps: Float[Array, "conditions conditions"]
+
+
+class Factors(NamedTuple):
+    """Of the sweeps, of what a method eliminates in its intervals, and of the border."""
+
+    sweeps: Any
+    inner: Any
+    border: Border | None
+
+
+class Equations(NamedTuple):
+    """The equations of one problem.
+
+    `guess`: strains (points, 6) for pointwise solves, where the method has any.
+    """
+
+    method: AbstractMethod
+    layout: Layout
+    rod: Rod
+    history: History | None
+    guess: Float[Array, "points strain"]
+
+    def _problem(self, U: Unknowns):
+        return self.rod.under(U.multipliers), self.layout, self.history, self.guess
+
+    def base(self):
+        """(p, h, q, omega) at the clamp (paper eq. 13)."""
+        p = vector_in(self.rod.plane, self.rod.p_base)
+        h = self.rod.h_base if self.layout.attitude else None
+        still = jnp.zeros(self.layout.pair) if self.layout.dynamic else None
+        parts = [x for x in (p, h, still) if x is not None]
+        return jnp.concatenate(parts) if parts else jnp.zeros(0)
+
+    def start(self, guess: Guess) -> Unknowns:
+        """The unknowns at a guess, with the state of the clamp at the base."""
+        along = self.method.unknowns(guess, self.rod)
+        multipliers = guess.multipliers
+        return Unknowns(
+            along.at[0, : self.layout.base_size].set(self.base()),
+            # A guess that is extrapolated may be below what can be.
+            None if multipliers is None else jnp.maximum(multipliers, 0.0),
+        )
+
+    def residual(self, U: Unknowns) -> Residual:
+        """Along the rod, and at the tip as db = S da + g there."""
+        Y = self.method.states(U.along, self.layout)
+        tip = self._tip(Y).value - Y[-1, self.layout.base_size :]
+        gaps = None if U.multipliers is None else self.gaps(U)
+        return Residual(self.method.residual(U.along, *self._problem(U)), tip, gaps, U.multipliers)
+
+    def gaps(self, U: Unknowns) -> Float[Array, "conditions"]:
+        """Those of the constraint."""
+        constraint = self.rod.constraint
+        assert constraint is not None and U.multipliers is not None, "a rod with a constraint"
+        strain, weights = self.fields(U).strain, self.rod.grid.weights
+        return constraint.gaps(self.rod, strain, U.multipliers, weights)
+
+    def factorise(self, U: Unknowns, safe=None) -> Factors:
+        """What `correct` needs."""
+        linear = self.method.linearise(U.along, *self._problem(U))
+        Y = self.method.states(U.along, self.layout)
+        slope = self._tip(Y).by_base_part
+        left, right = linear.left, linear.right
+        if safe is not None:
+            # A failed sample has no derivative: a solvable system with nothing in it.
+            eye = jnp.eye(self.layout.size)
+            left, right = jnp.where(safe, left, -eye), jnp.where(safe, right, eye)
+            slope = jnp.where(safe, slope, 0.0)
+        factors = Factors(factorise(left, right, slope), linear.inner, None)
+        if U.multipliers is None:
+            return factors
+        return factors._replace(border=self._border(U, factors, safe))
+
+    def _border(self, U: Unknowns, factors: Factors, safe) -> Border:
+        """Of the multipliers `U.multipliers`, once the rod's own factors are there."""
+        x = U.multipliers
+        assert x is not None, "a rod with a constraint"
+
+        def follow(direction):
+            along = lambda x: self.residual(U._replace(multipliers=x))._replace(gaps=None)
+            dF = jax.jvp(along, (x,), (direction,))[1]
+            return self._correct_along(factors, dF)
+
+        eye = jnp.eye(x.shape[0])
+        along = jax.vmap(follow)(eye)
+        by_along = jax.jacrev(lambda along: self.gaps(U._replace(along=along)))(U.along)
+        direct = jax.jacfwd(lambda x: self.gaps(U._replace(multipliers=x)))(x)
+        if safe is not None:
+            along, by_along = jnp.where(safe, along, 0.0), jnp.where(safe, by_along, 0.0)
+            direct = jnp.where(safe, direct, eye)
+        return Border(along, by_along, direct + jnp.einsum("irc,jrc->ij", by_along, along))
+
+    def _correct_along(self, factors: Factors, F: Residual):
+        """The correction along the rod where the multipliers stay."""
+        defect, condensed = self.method.condense(factors.inner, F.along)
+        sweeps = solve_sweeps(factors.sweeps, defect, F.tip)
+        return self.method.expand(factors.inner, condensed, sweeps)
+
+    def correct(self, factors: Factors, F: Residual) -> Unknowns:
+        """The correction -J^-1 F of the unknowns; NaN where no multipliers can be."""
+        along, border = self._correct_along(factors, F), factors.border
+        if border is None:
+            return Unknowns(along)
+        assert F.gaps is not None and F.multipliers is not None, "those of the border"
+        x, gaps = F.multipliers, F.gaps + jnp.einsum("irc,rc->i", border.gaps_by_along, along)
+        dx = complementary(border.gaps, gaps - border.gaps @ x, x) - x
+        return Unknowns(along + jnp.tensordot(dx, border.along, 1), dx)
+
+    def equalities(self, U: Unknowns, tight: Bool[Array, "conditions"] | None) -> Residual:
+        """What is zero where it is settled which conditions are `tight`: those have no gap.
+
+        The last entry, in the place of the gaps, has the multipliers of the others.
+        """
+        F = self.residual(U)
+        if tight is None or F.gaps is None:
+            return F
+        return F._replace(gaps=jnp.where(tight, F.gaps, F.multipliers), multipliers=None)
+
+    def correct_equalities(self, factors: Factors, F: Residual, tight) -> Unknowns:
+        """As `correct`, for `equalities`; linear in F."""
+        along, border = self._correct_along(factors, F), factors.border
+        if border is None:
+            return Unknowns(along)
+        assert F.gaps is not None, "those of the border"
+        rhs = F.gaps + jnp.where(tight, jnp.einsum("irc,rc->i", border.gaps_by_along, along), 0.0)
+        S = jnp.where(tight[:, None], shared(border.gaps), jnp.eye(tight.shape[0]))
+        dx = -jnp.linalg.solve(S, rhs)
+        return Unknowns(along + jnp.tensordot(dx, border.along, 1), dx)
+
+    def is_stable(self, U: Unknowns, factors: Factors) -> Bool[Array, ""]:
+        """Whether an equilibrium is, with the `factors` at it; see `block_sweep.py`.
+
+        A constraint takes unstable directions away: as many as there are where the rod yields
+        to its multipliers with the wrong sign (the inertia of a matrix with a border).
+        """
+        unstable = count_conjugate_points(factors.sweeps)
+        if factors.border is None or U.multipliers is None:
+            return unstable == 0
+        tight = U.multipliers > 0
+        both = tight[:, None] & tight[None, :]
+        S = 0.5 * (factors.border.gaps + factors.border.gaps.T)
+        taken = jnp.linalg.eigvalsh(jnp.where(both, S, jnp.eye(tight.shape[0]))) < 0
+        return unstable == jnp.sum(taken)
+
+    def scale(self, U: Unknowns) -> Unknowns:
+        """Sizes of the unknowns, (columns,): a bent rod's, and those of the answer so far."""
+        layout, n = self.layout, self.layout.size
+        along = sizes(U.along[:, :n], self.rod, layout, self.history)
+        # Multipliers are forces: of the size of those in a bent rod.
+        force, x = along[-layout.pair], U.multipliers
+        if U.along.shape[-1] > n:
+            stretch, bend = layout.split_strain(U.along[:, n:])
+            curvature = 1 / self.rod.L + jnp.max(jnp.abs(bend))
+            stretch = None if stretch is None else jnp.ones(layout.vector)
+            along = layout.join(along, stretch, curvature * jnp.ones(layout.turn))
+        return Unknowns(along, None if x is None else force + jnp.max(jnp.abs(x)) + 0 * x)
+
+    def fields(self, U: Unknowns) -> Guess:
+        """The rod at all points."""
+        fields = self.method.fields(U.along, *self._problem(U))
+        return fields._replace(multipliers=U.multipliers)
+
+    def error(self, U: Unknowns, factors: Factors) -> Float[Array, ""]:
+        """The estimated error of an equilibrium's tip from the grid, in lengths of the rod."""
+        tip, gaps, tight = jnp.zeros(self.layout.pair), None, None
+        rod, constraint = self.rod.under(U.multipliers), self.rod.constraint
+        if constraint is not None and U.multipliers is not None:
+            # What a wider quadrature says of the conditions.
+            strain, tight = self.fields(U).strain, U.multipliers > 0
+            wide = constraint.gaps(self.rod, strain, U.multipliers, wide_weights(self.rod.grid))
+            gaps = jnp.where(tight, wide, 0.0)
+
+        def correct(residual):
+            return self.correct_equalities(factors, Residual(residual, tip, gaps), tight).along
+
+        return self.method.error(U.along, rod, self.layout, self.guess, correct)
+
+    def _tip(self, Y):
+        history = self.history
+        if history is not None:
+            history = History(history.c0, history.strain[-1], history.velocity[-1])
+        return tip_condition(Y[-1], self.rod, self.layout, history)

@@ -1,0 +1,158 @@
+"""What sections and materials are at the points of a grid: stiffness, mass, damping, rest strains.
+
+What is the same along the rod is there once; what varies, by taper or from segment to segment, has
+a value for every point.
+"""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from softrod_jax.rod.energies import stiffness_at_rest
+from softrod_jax.rod.grid import Grid, division_of, ends_of_parts
+from softrod_jax.scene.scene import Scene
+from softrod_jax.scene.segments import Segment
+
+# Of what calls have looked for, before they come here.
+INCOMPLETE = "the scene has been checked for what it needs"
+
+
+class Body(NamedTuple):
+    """What a section and its material are, all components; along the rod where it varies."""
+
+    K_se: Array | None
+    K_bt: Array
+    v_star: Array
+    u_star: Array
+    rho_A: Array
+    rho_J: Array
+    B_se: Array | None
+    B_bt: Array | None
+    C: Array | None
+
+
+def body_along(scene: Scene, grid: Grid) -> Body:
+    segments = scene.parts
+    start, bodies = 0.0, []
+    for segment in segments:
+        x = (grid.s - start) / segment.length
+        bodies.append(_body(segment, jnp.clip(x, 0.0, 1.0), scene))
+        start = start + segment.length
+    if len(segments) == 1:
+        return bodies[0]
+    number = _segment_of_points(scene, grid)
+    chosen = {}
+    for name, source in _SOURCES.items():
+        own = source is None or any(
+            getattr(x, source) is not getattr(segments[0], source) for x in segments
+        )
+        values = [getattr(body, name) for body in bodies]
+        chosen[name] = _selected(values, number) if own else values[0]
+    return Body(**chosen)
+
+
+# From what segments may share it follows; those of sections and materials differ.
+_SOURCES = {
+    "K_se": None,
+    "K_bt": None,
+    "v_star": "rest_stretch",
+    "u_star": "rest_curvature",
+    "rho_A": None,
+    "rho_J": None,
+    "B_se": "shear_damping",
+    "B_bt": "bending_damping",
+    "C": "drag_coefficient",
+}
+
+
+def _body(segment: Segment, x: Float[Array, "points"], scene: Scene) -> Body:
+    """The numbers of a segment; `x`: the parts of its length at which the points are."""
+
+    def at(x):
+        """Of a section whose dimensions change linearly."""
+        mix = lambda a, b: (1 - x) * a + x * b
+        section = jax.tree.map(mix, segment.section, segment.section_at_end)
+        return _stiffness_and_mass(segment, section, scene)
+
+    if segment.section_at_end is None:
+        K_se, K_bt, rho_A, rho_J = _stiffness_and_mass(segment, segment.section, scene)
+    else:
+        K_se, K_bt, rho_A, rho_J = jax.vmap(at)(x)
+    v_star, u_star = segment.rest_strain
+    return Body(
+        K_se=None if scene.inextensible else K_se,
+        K_bt=K_bt,
+        v_star=v_star,
+        u_star=u_star,
+        rho_A=rho_A,
+        rho_J=rho_J,
+        B_se=_diagonal(segment.shear_damping),
+        B_bt=_diagonal(segment.bending_damping),
+        C=_diagonal(segment.drag_coefficient),
+    )
+
+
+def _segment_of_points(scene: Scene, grid: Grid):
+    """The number of the segment that each point is in."""
+    ends = jnp.stack([jnp.asarray(x, dtype=float) for x in ends_of_parts(scene, division_of(grid))])
+    middle = 0.5 * (ends[1:] + ends[:-1])
+    lengths = jnp.stack([segment.length for segment in scene.segments or ()])
+    number = jnp.sum(middle[:, None] >= jnp.cumsum(lengths)[:-1], axis=1)
+    return number[division_of(grid).part_of_point(grid.stride)]
+
+
+def _selected(values, number):
+    """For each point the value of its segment."""
+    if all(x is None for x in values):
+        return None
+    size = next(x.shape[-1:] for x in values if x is not None)
+    chosen = 0.0
+    for k, x in enumerate(values):
+        x = jnp.zeros(size) if x is None else x
+        chosen = jnp.where((number == k)[:, None], x, chosen)
+    return chosen
+
+
+def _stiffness_and_mass(segment: Segment, section, scene: Scene):
+    """K_se (None if inextensible), K_bt, rho_A and rho_J where this is a segment's section."""
+    I = section.second_moments
+    rho, rho_A = segment.density, segment.linear_density
+    if rho_A is not None:
+        rho = rho_A / section.area
+    else:
+        assert rho is not None, INCOMPLETE
+        rho_A = rho * section.area
+    measured, material = segment.stiffness, scene.material
+    if material is not None:
+        K_se, K_bt = stiffness_at_rest(material, *segment.rest_strain)
+    elif measured is None:
+        K_se, K_bt = _of_moduli(segment, section, scene)
+    else:
+        K_bt = jnp.append(measured.bending, measured.torsion)
+        K_se = None
+        if measured.axial is not None and measured.shear is not None:
+            K_se = jnp.append(measured.shear, measured.axial)
+    return K_se, K_bt, jnp.reshape(rho_A, 1), rho * jnp.stack([I[0], I[1], I[0] + I[1]])
+
+
+def _of_moduli(segment: Segment, section, scene: Scene):
+    """K_se, or None if inextensible, and K_bt of an isotropic material."""
+    E, nu, I = segment.young_modulus, segment.poisson_ratio, section.second_moments
+    assert E is not None and nu is not None, INCOMPLETE
+    if scene.inextensible and scene.plane is not None:
+        # Nothing is sheared or twisted: the shear modulus is in no equation.
+        return None, jnp.stack([E * I[0], E * I[1], jnp.zeros(())])
+    G = E / (2 * (1 + nu))
+    K_bt = jnp.stack([E * I[0], E * I[1], G * section.torsion_constant])
+    if scene.inextensible:
+        return None, K_bt
+    kGA = G * section.area
+    if segment.shear_correction is not None:
+        kGA = segment.shear_correction * kGA
+    return jnp.stack([kGA, kGA, E * section.area]), K_bt
+
+
+def _diagonal(value):
+    return None if value is None else jnp.broadcast_to(value, (3,))

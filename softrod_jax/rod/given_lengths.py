@@ -1,0 +1,146 @@
+"""Tendons whose length is given: their tensions are what holds the rod so.
+
+The path of tendon i is l_i = integral of |v + u x r_i + r_i,s| ds over its part of the rod, and
+l_i0 that of the unloaded rod. Pulled by d_i, a tendon of stiffness k_i has the tension
+
+    tau_i = k_i (l_i - (l_i0 - d_i))   where that is positive, and else 0: it is slack.
+
+In other words, the tendon under its tension, l_i0 - d_i + tau_i / k_i, is never shorter than its
+path; it is longer only where the tension is zero. Without the last term it does not stretch.
+"""
+
+import equinox as eqx
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float
+
+from softrod_jax.rod.constants import Rod
+from softrod_jax.rod.constitutive import joined, local_problem, recover_strain
+from softrod_jax.rod.constraint import AbstractConstraint
+from softrod_jax.rod.energies import TendonPull
+from softrod_jax.scene.scene import Scene
+from softrod_jax.scene.tendons import Tendons, driven_by_length
+
+
+class GivenLengths(AbstractConstraint):
+    """The tendons `which`, (conditions,), of a rod, by their numbers.
+
+    - `shortening` [m]: by how much each is shorter, without tension, than its path in the unloaded
+      rod.
+    - `compliance` [m/N]: 1 / k, or 0; `None` where none stretches.
+    - `there`, (points, conditions): whether each is at a point; `None` where all run all along.
+    """
+
+    shortening: Float[Array, "conditions"]
+    compliance: Float[Array, "conditions"] | None
+    there: Bool[Array, "points conditions"] | None
+    which: tuple[int, ...] = eqx.field(static=True)
+
+    @property
+    def count(self) -> int:
+        return len(self.which)
+
+    @property
+    def loads(self) -> list[Array]:
+        return [self.shortening]
+
+    def with_loads(self, loads: list[Array]) -> "GivenLengths":
+        return eqx.tree_at(lambda x: x.shortening, self, *loads)
+
+    def applied(self, rod: Rod, multipliers: Float[Array, "conditions"]) -> Rod:
+        """With the tensions of these tendons beside those that are given."""
+        assert rod.tau is not None and rod.r is not None, "a rod with tendons"
+        tensions = multipliers
+        if self.there is not None:
+            tensions = jnp.where(self.there, multipliers, 0.0)
+        none = jnp.zeros((*tensions.shape[:-1], rod.r.shape[-2]))
+        return eqx.tree_at(lambda r: r.tau, rod, rod.tau + none.at[..., self.which].set(tensions))
+
+    def gaps(
+        self,
+        rod: Rod,
+        strain: Float[Array, "points strain"],
+        multipliers: Float[Array, "conditions"],
+        weights: Float[Array, "points"],
+    ):
+        """How much longer each tendon is than its path [m]."""
+        rest = jnp.broadcast_to(_unloaded(rod), strain.shape)
+        longer = weights @ (self._along(rod, strain) - self._along(rod, rest))
+        gaps = -self.shortening - longer
+        return gaps if self.compliance is None else gaps + self.compliance * multipliers
+
+    def _along(self, rod: Rod, strain: Float[Array, "points strain"]):
+        """The lengths of their paths per unit of rod, (points, conditions)."""
+        assert rod.r is not None, "a rod with tendons"
+        which = jnp.array(self.which)
+        r_s = None if rod.r_s is None else rod.r_s[..., which, :]
+        v = rod.v_star if rod.K_se is None else None
+        pull = TendonPull(jnp.zeros(self.count), rod.r[..., which, :], r_s, v)
+        _, along = pull.paths(strain)
+        return along if self.there is None else jnp.where(self.there, along, 0.0)
+
+
+def given_lengths(
+    tendons: Tendons, rod: Rod, pulls: Float[Array, "conditions"], there
+) -> GivenLengths:
+    """The lengths that pulls [m] leave to the tendons of `rod`, which has all its other numbers.
+
+    `there`, (points, tendons): whether each is at a point, or `None`. A pretension is the tension
+    at pull 0 of the rod under the pretensions of all and no other load. Where tendons are all that
+    acts there is no wrench anywhere, and the strains follow point by point.
+    """
+    which = tendons.by_length
+    of_each = lambda values: [None if values is None else values[i] for i in which]
+    stiffness, pretension = of_each(tendons.stiffness), of_each(tendons.pretension)
+    compliance = None
+    if any(k is not None for k in stiffness):
+        compliance = jnp.stack([jnp.zeros(()) if k is None else 1.0 / k for k in stiffness])
+    there = None if there is None else there[:, jnp.array(which)]
+    lengths = GivenLengths(pulls, compliance, there, which)
+    if all(x is None for x in pretension):
+        return lengths
+    tensions = jnp.stack([jnp.zeros(()) if x is None else jnp.asarray(x) for x in pretension])
+    # The gap that is left at pull 0 under the pretensions is what they take off a tendon's length.
+    left = lengths.with_loads([jnp.zeros_like(pulls)]).gaps(
+        rod, _pretensioned(rod, lengths, tensions), tensions, rod.grid.weights
+    )
+    return lengths.with_loads([pulls + left])
+
+
+def _pretensioned(rod: Rod, lengths: GivenLengths, tensions) -> Float[Array, "points strain"]:
+    """The strains of the rod under these tensions alone."""
+    assert rod.tau is not None, "a rod with tendons"
+    without = ("n_ch", "m_ch", "energies", "front_viscosity", "B_se", "B_bt")
+    alone = eqx.tree_at(
+        lambda r: [getattr(r, name) for name in without],
+        rod,
+        [None] * len(without),
+        is_leaf=lambda x: x is None,
+    )
+    alone = eqx.tree_at(lambda r: r.tau, alone, jnp.zeros_like(rod.tau))
+    rest = _unloaded(rod)
+    rest = jnp.broadcast_to(rest, (rod.grid.s.shape[0], rest.shape[-1]))
+    problem = local_problem(lengths.applied(alone, tensions), jnp.zeros_like(rest))
+    strain, solved = recover_strain(problem, rest)
+    # Pretensions that no rod withstands leave no number that can be.
+    return jnp.where(solved, strain, jnp.nan)
+
+
+def _unloaded(rod: Rod) -> Float[Array, "... strain"]:
+    return rod.u_star if rod.K_se is None else joined(rod.v_star, rod.u_star)
+
+
+def tensions_of(
+    scene: Scene,
+    given: Float[Array, "*rows _"] | None,
+    found: Float[Array, "*rows _"] | None,
+    rows: tuple[int, ...] = (),
+) -> Float[Array, "*rows tendons"]:
+    """Those of all tendons of a scene [N]: the ones that are inputs, and the ones that follow."""
+    if scene.tendons is None:
+        return jnp.zeros((*rows, 0))
+    by_length = driven_by_length(scene.tendons)
+    tensions = jnp.zeros((*rows, scene.tendons.count))
+    if given is not None:
+        others = [i for i in range(scene.tendons.count) if i not in by_length]
+        tensions = tensions.at[..., jnp.array(others)].set(given)
+    return tensions if found is None else tensions.at[..., jnp.array(by_length)].set(found)
