@@ -45,7 +45,7 @@ def factorise(
 
     def inwards(S, interval):
         right_a, right_b, left_b, known = interval
-        K = _inverse(jnp.concatenate([right_a + right_b @ S, left_b], -1))
+        K = inverse(jnp.concatenate([right_a + right_b @ S, left_b], -1))
         out = -K @ known
         return out[a:, :a], (S, K, out)
 
@@ -54,7 +54,7 @@ def factorise(
     return Factors(K, right, S, out[:, a:, a:], out[:, :a, a:], out[:, :a, :a])
 
 
-def _inverse(A: Float[Array, "n n"]):
+def inverse(A: Float[Array, "n n"]):
     """By elimination, two rows and columns at a time, without a search for pivots.
 
     Where an interval is short its matrix is diag(1, -1), and no pivot is small; what units the rows

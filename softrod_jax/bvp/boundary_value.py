@@ -17,6 +17,7 @@ from jaxtyping import Array, Bool, Float, Int
 from softrod_jax.bvp.equations import Equations, Residual, Unknowns
 from softrod_jax.bvp.method import AbstractMethod, Guess
 from softrod_jax.bvp.newton import NewtonOptions, ReusedFactors, newton
+from softrod_jax.foundation.compiling import on_cpu
 from softrod_jax.foundation.results import RESULTS
 from softrod_jax.rod.constants import Rod
 from softrod_jax.rod.constitutive import shortest_path
@@ -257,5 +258,4 @@ def _follow(equations: Equations, U: Unknowns, factors, F_dot: Residual, base_do
 
 def _in_turn(function: Callable) -> Callable:
     """`function` which, on a CPU, takes the samples of a batch one after the other."""
-    on_cpu = jax.default_backend() == "cpu"
-    return jax.custom_batching.sequential_vmap(function) if on_cpu else function
+    return jax.custom_batching.sequential_vmap(function) if on_cpu() else function

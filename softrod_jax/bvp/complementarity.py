@@ -1,59 +1,78 @@
 """Linear complementarity problems: which of a few one-sided conditions hold, and how hard."""
 
+from typing import NamedTuple
+
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
+
+from softrod_jax.bvp.block_sweep import inverse
 
 # A gap below zero by this part of the largest one is a rounding error.
 _ROUNDING = 1e-13
-# What is added to the diagonal, as a part of its largest entry: two tendons on one path share.
-_SHARED = 1e-12
+# What is added to the diagonal where S is inverted, as a part of its largest entry. Several tendons
+# may hold the same (two on one path, four in one section): they share then. Newton's method, whose
+# gaps are exact, converges with it at this rate, or this over how much softer a direction is.
+_SHARED = 1e-9
+# Exchanges of all at once that are tried in vain.
+_PATIENCE = 3
 # Exchanges at most, for each condition; only problems without a solution take so many.
 _EXCHANGES = 8
 
 
-def shared(S: Float[Array, "m m"]) -> Float[Array, "m m"]:
-    """S, in which conditions that are the same share what holds them."""
-    return S + _SHARED * jnp.max(jnp.abs(jnp.diagonal(S))) * jnp.eye(S.shape[0])
+class Conditions(NamedTuple):
+    """How gaps follow multipliers x to first order, as S x + q.
 
-
-def complementary(
-    S: Float[Array, "m m"], q: Float[Array, "m"], start: Float[Array, "m"]
-) -> Float[Array, "m"]:
-    """x >= 0 with gaps S x + q >= 0, where for each one of the two is zero. NaN if none is found.
-
-    By exchanges between those that are zero and those that are not: all that have a wrong sign at
-    once while that makes them fewer, and else the last of them only (Judice & Pires, Computers and
-    Operations Research 21, 1994), which for a positive definite S always ends. It begins with those
-    of `start` that are above zero: near a solution the first guess is right.
+    `tight`: those that are not zero in the first try; `inverse`: of S in their rows and columns.
     """
-    m = q.shape[0]
-    S = shared(S)
-    index = jnp.arange(m)
 
-    def solved(active):
-        both = active[:, None] & active[None, :]
-        x = jnp.linalg.solve(jnp.where(both, S, jnp.eye(m)), jnp.where(active, -q, 0.0))
-        x = jnp.where(active, x, 0.0)
-        gap = q + S @ x
-        # What is not a number is wrong, too.
-        return x, ~jnp.where(active, x >= 0, gap >= -_ROUNDING * jnp.max(jnp.abs(q)))
+    S: Float[Array, "m m"]
+    tight: Bool[Array, "m"]
+    inverse: Float[Array, "m m"]
 
-    def exchange(state):
-        active, _, wrong, fewest, patience, tries = state
-        count = jnp.sum(wrong)
-        fewer = count < fewest
-        patience = jnp.where(fewer, 3, patience - 1)
-        last = index == jnp.max(jnp.where(wrong, index, -1))
-        active = active ^ jnp.where(fewer | (patience > 0), wrong, last)
-        x, wrong = solved(active)
-        return active, x, wrong, jnp.minimum(fewest, count), patience, tries + 1
+    def multipliers(self, q: Float[Array, "m"]) -> Float[Array, "m"]:
+        """x >= 0 with gaps S x + q >= 0, one of the two zero for each. NaN if none is found.
 
-    def unsolved(state):
-        _, _, wrong, _, _, tries = state
-        return jnp.any(wrong) & (tries < _EXCHANGES * m)
+        By exchanges between those that are zero and those that are not: all that have a wrong sign
+        at once while that makes them fewer, and else the last of them only (Judice & Pires,
+        Computers and Operations Research 21, 1994), which for a positive definite S always ends.
+        """
+        m = q.shape[0]
+        index = jnp.arange(m)
 
-    active = start > 0
-    first = (active, *solved(active), jnp.array(m + 1), jnp.array(3), jnp.array(0))
-    _, x, wrong, *_ = jax.lax.while_loop(unsolved, exchange, first)
-    return jnp.where(jnp.any(wrong), jnp.nan, x)
+        def judged(x, tight):
+            x = jnp.where(tight, x, 0.0)
+            gap = q + self.S @ x
+            # What is not a number is wrong, too.
+            return x, ~jnp.where(tight, x >= 0, gap >= -_ROUNDING * jnp.max(jnp.abs(q)))
+
+        def exchange(state):
+            tight, _, wrong, fewest, patience, tries = state
+            count = jnp.sum(wrong)
+            fewer = count < fewest
+            patience = jnp.where(fewer, _PATIENCE, patience - 1)
+            last = index == jnp.max(jnp.where(wrong, index, -1))
+            tight = tight ^ jnp.where(patience > 0, wrong, last)
+            x = _inverse_of(self.S, tight) @ jnp.where(tight, -q, 0.0)
+            return tight, *judged(x, tight), jnp.minimum(fewest, count), patience, tries + 1
+
+        def unsolved(state):
+            _, _, wrong, _, _, tries = state
+            return jnp.any(wrong) & (tries < _EXCHANGES * m)
+
+        first = judged(self.inverse @ jnp.where(self.tight, -q, 0.0), self.tight)
+        start = (self.tight, *first, jnp.array(m + 1), jnp.array(_PATIENCE), jnp.array(0))
+        _, x, wrong, *_ = jax.lax.while_loop(unsolved, exchange, start)
+        return jnp.where(jnp.any(wrong), jnp.nan, x)
+
+
+def conditions(S: Float[Array, "m m"], tight: Bool[Array, "m"]) -> Conditions:
+    """What the search for multipliers needs."""
+    return Conditions(S, tight, _inverse_of(S, tight))
+
+
+def _inverse_of(S, tight):
+    """Of S in the rows and columns that are tight; those of the others are a unit matrix's."""
+    eye = jnp.eye(S.shape[0])
+    S = S + _SHARED * jnp.max(jnp.abs(jnp.diagonal(S))) * eye
+    return inverse(jnp.where(tight[:, None] & tight[None, :], S, eye))

@@ -6,10 +6,10 @@ conditions. The Jacobian is then that of the rod with a border,
     [ A  B ] [dU]     [F]         U: unknowns along the rod, x: multipliers >= 0,
     [ C  D ] [dx] = - [g]         g: gaps >= 0, each zero where its multiplier is not.
 
-The sweeps that solve with A give A^-1 B, one right-hand side for each multiplier, and so the gaps as
-a function of the multipliers alone, to first order: g + C dU with dU = -A^-1 (F + B dx). Which
-multipliers are zero is decided there, in a small linear complementarity problem (Newton's method
-of Josephy), and not by trial in Newton's iterations: tendons go slack and taut without a
+The sweeps that solve with A give A^-1 B, one right-hand side for each multiplier, and so the gaps
+as a function of the multipliers alone, to first order: g + C dU with dU = -A^-1 (F + B dx). Which
+multipliers are zero is decided there, in a small linear complementarity problem (the method of
+Josephy and Newton), and not by trial in Newton's iterations: tendons go slack and taut without a
 change of the factors.
 """
 
@@ -21,13 +21,17 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
 from softrod_jax.bvp.block_sweep import count_conjugate_points, factorise, solve_sweeps
-from softrod_jax.bvp.complementarity import complementary, shared
+from softrod_jax.bvp.complementarity import Conditions, conditions
 from softrod_jax.bvp.grid_error import wide_weights
 from softrod_jax.bvp.method import AbstractMethod, Guess
+from softrod_jax.foundation.compiling import on_cpu
 from softrod_jax.rod.boundary_conditions import tip_condition
 from softrod_jax.rod.constants import Rod
 from softrod_jax.rod.ode import History, Layout, sizes
 from softrod_jax.scene.planes import vector_in
+
+# Eigenvalues are zero if they are this part of the largest one, or less.
+_ZERO = 1e-9
 
 
 def loads_of(rod: Rod) -> list:
@@ -70,12 +74,23 @@ class Residual(NamedTuple):
 class Border(NamedTuple):
     """How unknowns and gaps follow the multipliers, and gaps the unknowns.
 
-    `along`: -A^-1 B; `gaps_by_along`: C; `gaps`: D - C A^-1 B.
+    `along`: -A^-1 B; `gaps_by_along`: C, for the last columns of the unknowns, as many as it has;
+    `conditions`: with S = D - C A^-1 B.
     """
 
     along: Float[Array, "conditions rows columns"]
-    gaps_by_along: Float[Array, "conditions rows columns"]
-    gaps: Float[Array, "conditions conditions"]
+    gaps_by_along: Float[Array, "conditions rows last"]
+    conditions: Conditions
+
+    # Products of a few long rows: sums of them are faster here than what matrices have.
+    def following(self, x: Float[Array, "conditions"]):
+        """How the unknowns along the rod follow the multipliers."""
+        return jnp.sum(x[:, None, None] * self.along, 0)
+
+    def gaps_following(self, along: Float[Array, "rows columns"]):
+        """How the gaps follow the unknowns along the rod."""
+        last = along[:, -self.gaps_by_along.shape[-1] :]
+        return jnp.sum(self.gaps_by_along * last, (1, 2))
 
 
 class Factors(NamedTuple):
@@ -154,19 +169,30 @@ class Equations(NamedTuple):
         x = U.multipliers
         assert x is not None, "a rod with a constraint"
 
-        def follow(direction):
+        def change(direction):
             along = lambda x: self.residual(U._replace(multipliers=x))._replace(gaps=None)
-            dF = jax.jvp(along, (x,), (direction,))[1]
-            return self._correct_along(factors, dF)
+            return jax.jvp(along, (x,), (direction,))[1]
 
         eye = jnp.eye(x.shape[0])
-        along = jax.vmap(follow)(eye)
-        by_along = jax.jacrev(lambda along: self.gaps(U._replace(along=along)))(U.along)
+        # Several right-hand sides in lockstep take longer than in turn on a CPU.
+        solve = lambda F: self._correct_along(factors, F)
+        along = _each(solve, jax.vmap(change)(eye))
+        by_along = self._gaps_by_along(U)
         direct = jax.jacfwd(lambda x: self.gaps(U._replace(multipliers=x)))(x)
         if safe is not None:
             along, by_along = jnp.where(safe, along, 0.0), jnp.where(safe, by_along, 0.0)
             direct = jnp.where(safe, direct, eye)
-        return Border(along, by_along, direct + jnp.einsum("irc,jrc->ij", by_along, along))
+        rows = lambda a: a.reshape(x.shape[0], -1)
+        S = direct + rows(by_along) @ rows(along[..., -by_along.shape[-1] :]).T
+        return Border(along, by_along, conditions(S, x > 0))
+
+    def _gaps_by_along(self, U: Unknowns) -> Float[Array, "conditions rows last"]:
+        constraint, n = self.rod.constraint, self.layout.size
+        assert constraint is not None, "a rod with a constraint"
+        if U.along.shape[-1] == n:
+            return jax.jacrev(lambda along: self.gaps(U._replace(along=along)))(U.along)
+        # Strains are unknowns beside the states.
+        return constraint.gaps_by_strain(self.rod, U.along[:, n:], self.rod.grid.weights)
 
     def _correct_along(self, factors: Factors, F: Residual):
         """The correction along the rod where the multipliers stay."""
@@ -180,9 +206,9 @@ class Equations(NamedTuple):
         if border is None:
             return Unknowns(along)
         assert F.gaps is not None and F.multipliers is not None, "those of the border"
-        x, gaps = F.multipliers, F.gaps + jnp.einsum("irc,rc->i", border.gaps_by_along, along)
-        dx = complementary(border.gaps, gaps - border.gaps @ x, x) - x
-        return Unknowns(along + jnp.tensordot(dx, border.along, 1), dx)
+        x, gaps = F.multipliers, F.gaps + border.gaps_following(along)
+        dx = border.conditions.multipliers(gaps - border.conditions.S @ x) - x
+        return Unknowns(along + border.following(dx), dx)
 
     def equalities(self, U: Unknowns, tight: Bool[Array, "conditions"] | None) -> Residual:
         """What is zero where it is settled which conditions are `tight`: those have no gap.
@@ -200,10 +226,13 @@ class Equations(NamedTuple):
         if border is None:
             return Unknowns(along)
         assert F.gaps is not None, "those of the border"
-        rhs = F.gaps + jnp.where(tight, jnp.einsum("irc,rc->i", border.gaps_by_along, along), 0.0)
-        S = jnp.where(tight[:, None], shared(border.gaps), jnp.eye(tight.shape[0]))
-        dx = -jnp.linalg.solve(S, rhs)
-        return Unknowns(along + jnp.tensordot(dx, border.along, 1), dx)
+        held = border.gaps_following(along)
+        rhs = -F.gaps - jnp.where(tight, held, 0.0)
+        S, inverse = border.conditions.S, border.conditions.inverse
+        # Of those that are tight; the second step takes away what the inverse has for safety.
+        dx = inverse @ rhs
+        dx = dx + inverse @ jnp.where(tight, rhs - S @ dx, 0.0)
+        return Unknowns(along + border.following(dx), dx)
 
     def is_stable(self, U: Unknowns, factors: Factors) -> Bool[Array, ""]:
         """Whether an equilibrium is, with the `factors` at it; see `block_sweep.py`.
@@ -216,9 +245,10 @@ class Equations(NamedTuple):
             return unstable == 0
         tight = U.multipliers > 0
         both = tight[:, None] & tight[None, :]
-        S = 0.5 * (factors.border.gaps + factors.border.gaps.T)
-        taken = jnp.linalg.eigvalsh(jnp.where(both, S, jnp.eye(tight.shape[0]))) < 0
-        return unstable == jnp.sum(taken)
+        S = factors.border.conditions.S
+        own = jnp.linalg.eigvalsh(jnp.where(both, 0.5 * (S + S.T), 0.0))
+        # What several tendons hold together has zeros, up to rounding.
+        return unstable == jnp.sum(own < -_ZERO * jnp.max(jnp.abs(own)))
 
     def scale(self, U: Unknowns) -> Unknowns:
         """Sizes of the unknowns, (columns,): a bent rod's, and those of the answer so far."""
@@ -231,7 +261,7 @@ class Equations(NamedTuple):
             curvature = 1 / self.rod.L + jnp.max(jnp.abs(bend))
             stretch = None if stretch is None else jnp.ones(layout.vector)
             along = layout.join(along, stretch, curvature * jnp.ones(layout.turn))
-        return Unknowns(along, None if x is None else force + jnp.max(jnp.abs(x)) + 0 * x)
+        return Unknowns(along, None if x is None else jnp.full_like(x, force + jnp.max(jnp.abs(x))))
 
     def fields(self, U: Unknowns) -> Guess:
         """The rod at all points."""
@@ -258,3 +288,8 @@ class Equations(NamedTuple):
         if history is not None:
             history = History(history.c0, history.strain[-1], history.velocity[-1])
         return tip_condition(Y[-1], self.rod, self.layout, history)
+
+
+def _each(function, rows):
+    """`function` of each row: one after the other on a CPU, else at once."""
+    return jax.lax.map(function, rows) if on_cpu() else jax.vmap(function)(rows)

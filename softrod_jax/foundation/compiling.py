@@ -41,3 +41,8 @@ def compiler_options() -> dict | None:
     except RuntimeError:  # of which XLA's "No such compile option" is a kind
         return None
     return _OPTIONS
+
+
+def on_cpu() -> bool:
+    """Whether programs run on a CPU, where one sample after the other is often the faster way."""
+    return jax.default_backend() == "cpu"

@@ -4,6 +4,8 @@ import abc
 from typing import Any
 
 import equinox as eqx
+import jax
+import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 
@@ -45,3 +47,13 @@ class AbstractConstraint(eqx.Module):
 
         `weights` [m]: of the integral along the rod.
         """
+
+    def gaps_by_strain(
+        self,
+        rod: Any,
+        strain: Float[Array, "points strain"],
+        weights: Float[Array, "points"],
+    ) -> Float[Array, "conditions points strain"]:
+        """The derivative of the gaps by the strains, whatever the multipliers are."""
+        still = jnp.zeros(self.count)
+        return jax.jacrev(lambda strain: self.gaps(rod, strain, still, weights))(strain)

@@ -83,6 +83,16 @@ class TendonPull(AbstractTerm):
             v, u = self.v[..., None, :], x[..., None, :]
         return v + cross(u, jnp.broadcast_to(r, (*x.shape[:-1], *r.shape[-2:])))
 
+    def slopes(self, x: Strain) -> Float[Array, "*points tendons strain"]:
+        """The derivatives of the |l_i| by the strains."""
+        l, length = self.paths(x)
+        return self._by_strain(l / length[..., None])
+
+    def _by_strain(self, pull):
+        """Forces and moments of pulls along the paths, (*points, tendons, strain)."""
+        moment = cross(jnp.broadcast_to(self.r, pull.shape), pull)
+        return moment if self.v is not None else jnp.concatenate([pull, moment], -1)
+
     def _rates(self, l):
         """l_t and |l_t| from the paths l_i."""
         # A path that varies with s does not vary with time: r_i,s is not in the rate.

@@ -26,11 +26,14 @@ class GivenLengths(AbstractConstraint):
 
     - `shortening` [m]: by how much each is shorter, without tension, than its path in the unloaded
       rod.
+    - `unloaded`, (conditions,) or (points, conditions): lengths of the paths per unit of unloaded
+      rod.
     - `compliance` [m/N]: 1 / k, or 0; `None` where none stretches.
     - `there`, (points, conditions): whether each is at a point; `None` where all run all along.
     """
 
     shortening: Float[Array, "conditions"]
+    unloaded: Float[Array, "... conditions"]
     compliance: Float[Array, "conditions"] | None
     there: Bool[Array, "points conditions"] | None
     which: tuple[int, ...] = eqx.field(static=True)
@@ -63,20 +66,20 @@ class GivenLengths(AbstractConstraint):
         weights: Float[Array, "points"],
     ):
         """How much longer each tendon is than its path [m]."""
-        rest = jnp.broadcast_to(_unloaded(rod), strain.shape)
-        longer = weights @ (self._along(rod, strain) - self._along(rod, rest))
-        gaps = -self.shortening - longer
+        shorter = self.unloaded - _per_unit(rod, strain, self.which)
+        if self.there is not None:
+            shorter = jnp.where(self.there, shorter, 0.0)
+        gaps = weights @ shorter - self.shortening
         return gaps if self.compliance is None else gaps + self.compliance * multipliers
 
-    def _along(self, rod: Rod, strain: Float[Array, "points strain"]):
-        """The lengths of their paths per unit of rod, (points, conditions)."""
-        assert rod.r is not None, "a rod with tendons"
-        which = jnp.array(self.which)
-        r_s = None if rod.r_s is None else rod.r_s[..., which, :]
-        v = rod.v_star if rod.K_se is None else None
-        pull = TendonPull(jnp.zeros(self.count), rod.r[..., which, :], r_s, v)
-        _, along = pull.paths(strain)
-        return along if self.there is None else jnp.where(self.there, along, 0.0)
+    def gaps_by_strain(
+        self, rod: Rod, strain: Float[Array, "points strain"], weights: Float[Array, "points"]
+    ):
+        """As the interface has it, without differentiation."""
+        slopes = _paths(rod, self.which).slopes(strain)
+        if self.there is not None:
+            slopes = jnp.where(self.there[..., None], slopes, 0.0)
+        return -jnp.swapaxes(weights[:, None, None] * slopes, 0, 1)
 
 
 def given_lengths(
@@ -95,7 +98,8 @@ def given_lengths(
     if any(k is not None for k in stiffness):
         compliance = jnp.stack([jnp.zeros(()) if k is None else 1.0 / k for k in stiffness])
     there = None if there is None else there[:, jnp.array(which)]
-    lengths = GivenLengths(pulls, compliance, there, which)
+    unloaded = _per_unit(rod, _unloaded(rod), which)
+    lengths = GivenLengths(pulls, unloaded, compliance, there, which)
     if all(x is None for x in pretension):
         return lengths
     tensions = jnp.stack([jnp.zeros(()) if x is None else jnp.asarray(x) for x in pretension])
@@ -123,6 +127,21 @@ def _pretensioned(rod: Rod, lengths: GivenLengths, tensions) -> Float[Array, "po
     strain, solved = recover_strain(problem, rest)
     # Pretensions that no rod withstands leave no number that can be.
     return jnp.where(solved, strain, jnp.nan)
+
+
+def _per_unit(rod: Rod, strain: Float[Array, "... strain"], which: tuple[int, ...]):
+    """The lengths of these tendons' paths per unit of rod, (..., conditions)."""
+    return _paths(rod, which).paths(strain)[1]
+
+
+def _paths(rod: Rod, which: tuple[int, ...]) -> TendonPull:
+    assert rod.r is not None, "a rod with tendons"
+    r, r_s = rod.r, rod.r_s
+    if len(which) < r.shape[-2]:
+        chosen = jnp.array(which)
+        r, r_s = r[..., chosen, :], None if r_s is None else r_s[..., chosen, :]
+    v = rod.v_star if rod.K_se is None else None
+    return TendonPull(jnp.ones(len(which)), r, r_s, v)
 
 
 def _unloaded(rod: Rod) -> Float[Array, "... strain"]:

@@ -220,7 +220,7 @@ class Tendons(eqx.Module):
 
 
 def driven_by_length(tendons) -> tuple[int, ...]:
-    """The numbers of the tendons whose length is given; of another class of tendons there are none."""
+    """The numbers of the tendons whose length is given; another class of tendons has none."""
     return tendons.by_length if type(tendons) is Tendons else ()
 
 

@@ -27,7 +27,7 @@ from softrod_jax.stepping.time_error import grown
 
 
 class March(NamedTuple):
-    """Fields and multipliers at the end of every step, velocities as a user sees them, and codes."""
+    """What there is at the end of every step: velocities as a user sees them, codes and counts."""
 
     strains: Float[Array, "steps points n"]
     velocities: Float[Array, "steps outputs m"]

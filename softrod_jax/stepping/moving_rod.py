@@ -54,9 +54,9 @@ class Beginning(NamedTuple):
 class Progress(NamedTuple):
     """What a solve hands to the next, besides the memory of the time scheme.
 
-    - `guess`: the last solution; `multipliers`: those of it, with their derivatives; `loads` and `history`: those of the last solve; `rate`: that of
-      the strains there; `factors` of the last Jacobian, made with `c0`, which is 0 where they
-      serve no longer.
+    - `guess`: the last solution; `multipliers`: those of it, with their derivatives.
+    - `loads` and `history`: those of the last solve; `rate`: that of the strains there; `factors`
+      of the last Jacobian, made with `c0`, which is 0 where they serve no longer.
     - `result`: the code so far. `iterations` and `correction`: in this step.
     - `error`: estimated, along the rod; `time_error`: estimated, of the tip so far, in lengths.
     - `part`: the length of the next substep, in steps, where errors choose it.
