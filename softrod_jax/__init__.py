@@ -37,5 +37,6 @@ from softrod_jax.scene.tendons import Points as Points
 from softrod_jax.scene.tendons import Tendons as Tendons
 from softrod_jax.statics import StaticSolution as StaticSolution
 from softrod_jax.statics import solve_static as solve_static
+from softrod_jax.statics import tendon_pulls as tendon_pulls
 from softrod_jax.stepping.bdf_alpha import BDFAlpha as BDFAlpha
 from softrod_jax.stepping.sdirk import SDIRK as SDIRK

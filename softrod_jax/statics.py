@@ -27,15 +27,15 @@ from softrod_jax.foundation.numbers import ScalarLike
 from softrod_jax.foundation.precision import require_float64
 from softrod_jax.foundation.results import RESULTS, raise_unless_successful, without_derivative
 from softrod_jax.foundation.tracing import is_traced
-from softrod_jax.rod.constants import full_strain
-from softrod_jax.rod.given_lengths import tensions_of
+from softrod_jax.rod.constants import full_strain, inner_strain
+from softrod_jax.rod.given_lengths import path_shortening, tensions_of
 from softrod_jax.rod.markers import seen
 from softrod_jax.rod.ode import layout_of
-from softrod_jax.rod.reduction import clamp_pose, make_rod
+from softrod_jax.rod.reduction import clamp_pose, make_rod, where_active
 from softrod_jax.rod.shape import Pose, pose_between
 from softrod_jax.rod.validity import usable
 from softrod_jax.scene.checks import checked_scene
-from softrod_jax.scene.inputs import Inputs, checked_inputs, good_inputs, zero_unless
+from softrod_jax.scene.inputs import Inputs, checked_inputs, filled, good_inputs, zero_unless
 from softrod_jax.scene.planes import in_space
 from softrod_jax.scene.scene import Scene
 
@@ -130,6 +130,21 @@ def solve_static(
     if throw:
         solution = raise_unless_successful(solution.result, solution, "solve_static")
     return solution
+
+
+def tendon_pulls(scene: Scene, solution: StaticSolution) -> Float[Array, "tendons"]:
+    """By how much the path of each tendon is shorter than in the unloaded rod [m].
+
+    Pulled by that much, tendons that do not stretch and are driven by length hold `scene` in the
+    same equilibrium, with the same tensions.
+    """
+    if scene.tendons is None:
+        return jnp.zeros(0)
+    scene = checked_scene("tendon_pulls", scene)
+    grid = solution.method.grid(scene)
+    rod = make_rod(scene, filled(scene, Inputs()), dynamic=False, grid=grid)
+    there = where_active(scene, grid, scene.tendons)
+    return path_shortening(rod, inner_strain(solution.point_strains, rod), there)
 
 
 def _solve(scene, inputs, method, options, traced):

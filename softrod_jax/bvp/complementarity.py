@@ -14,6 +14,8 @@ _ROUNDING = 1e-13
 # may hold the same (two on one path, four in one section): they share then. Newton's method, whose
 # gaps are exact, converges with it at this rate, or this over how much softer a direction is.
 _SHARED = 1e-9
+# A gap that is left, as a part of the largest one that there would be without multipliers.
+_CONTRADICTION = 1e-4
 # Exchanges of all at once that are tried in vain.
 _PATIENCE = 3
 # Exchanges at most, for each condition; only problems without a solution take so many.
@@ -53,17 +55,25 @@ class Conditions(NamedTuple):
             patience = jnp.where(fewer, _PATIENCE, patience - 1)
             last = index == jnp.max(jnp.where(wrong, index, -1))
             tight = tight ^ jnp.where(patience > 0, wrong, last)
-            x = _inverse_of(self.S, tight) @ jnp.where(tight, -q, 0.0)
+            x = self._solved(_inverse_of(self.S, tight), q, tight)
             return tight, *judged(x, tight), jnp.minimum(fewest, count), patience, tries + 1
 
         def unsolved(state):
             _, _, wrong, _, _, tries = state
             return jnp.any(wrong) & (tries < _EXCHANGES * m)
 
-        first = judged(self.inverse @ jnp.where(self.tight, -q, 0.0), self.tight)
+        first = judged(self._solved(self.inverse, q, self.tight), self.tight)
         start = (self.tight, *first, jnp.array(m + 1), jnp.array(_PATIENCE), jnp.array(0))
-        _, x, wrong, *_ = jax.lax.while_loop(unsolved, exchange, start)
-        return jnp.where(jnp.any(wrong), jnp.nan, x)
+        tight, x, wrong, *_ = jax.lax.while_loop(unsolved, exchange, start)
+        # Conditions that contradict each other leave a gap, however large the multipliers.
+        left = jnp.where(tight, jnp.abs(q + self.S @ x), 0.0)
+        contradiction = jnp.max(left) > _CONTRADICTION * jnp.max(jnp.abs(q))
+        return jnp.where(jnp.any(wrong) | contradiction, jnp.nan, x)
+
+    def _solved(self, inverse, q, tight):
+        x = inverse @ jnp.where(tight, -q, 0.0)
+        # Once more, for what the inverse has on its diagonal.
+        return x + inverse @ jnp.where(tight, -q - self.S @ x, 0.0)
 
 
 def conditions(S: Float[Array, "m m"], tight: Bool[Array, "m"]) -> Conditions:

@@ -16,6 +16,7 @@ from jaxtyping import Array, Bool, Float, Int
 from softrod_jax.bvp.collocation import Collocation
 from softrod_jax.bvp.method import AbstractMethod
 from softrod_jax.bvp.newton import NewtonOptions
+from softrod_jax.dynamics import beginning_in
 from softrod_jax.foundation.compiling import compiled
 from softrod_jax.foundation.numbers import ScalarLike
 from softrod_jax.foundation.precision import require_float64
@@ -38,7 +39,7 @@ from softrod_jax.scene.planes import in_space
 from softrod_jax.scene.scene import Scene
 from softrod_jax.statics import StaticSolution
 from softrod_jax.stepping.marching import stepping_of
-from softrod_jax.stepping.moving_rod import Beginning, Progress, State
+from softrod_jax.stepping.moving_rod import Progress, State
 from softrod_jax.stepping.scheme import AbstractTimeScheme
 from softrod_jax.stepping.sdirk import SDIRK
 from softrod_jax.stepping.step_inputs import StepInputs
@@ -245,7 +246,7 @@ def _stepping(stepper, action):
 @compiled
 def _reset(stepper, initial, action):
     from_rest = initial is None
-    begin = None if from_rest else Beginning(initial.point_strains, initial.result)
+    begin = None if from_rest else beginning_in(initial, stepper.scene)
     stepping, good = _stepping(stepper, action)
     memory, progress = stepping.moving.at_rest(begin, good)
     true = jnp.array(True)

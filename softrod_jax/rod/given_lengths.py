@@ -148,6 +148,17 @@ def _unloaded(rod: Rod) -> Float[Array, "... strain"]:
     return rod.u_star if rod.K_se is None else joined(rod.v_star, rod.u_star)
 
 
+def path_shortening(rod: Rod, strain: Float[Array, "points strain"], there) -> Float[Array, "_"]:
+    """By how much the path of each tendon is shorter than in the unloaded rod [m].
+
+    `there`, (points, tendons): whether each is at a point; `None` where all run all along.
+    """
+    assert rod.r is not None, "a rod with tendons"
+    every = tuple(range(rod.r.shape[-2]))
+    shorter = _per_unit(rod, _unloaded(rod), every) - _per_unit(rod, strain, every)
+    return rod.grid.weights @ (shorter if there is None else jnp.where(there, shorter, 0.0))
+
+
 def tensions_of(
     scene: Scene,
     given: Float[Array, "*rows _"] | None,

@@ -5,7 +5,7 @@ import dataclasses
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array
+from jaxtyping import Array, Bool
 
 from softrod_jax.rod.body import INCOMPLETE, body_along
 from softrod_jax.rod.constants import PointLoad, Rod
@@ -94,7 +94,7 @@ def make_rod(
     )
     if pulls is not None:
         assert scene.tendons is not None, INCOMPLETE
-        there = _active(scene, grid, scene.tendons)
+        there = where_active(scene, grid, scene.tendons)
         constraint = given_lengths(scene.tendons, rod, pulls, there)
         rod = dataclasses.replace(rod, constraint=constraint)
     if plane is None:
@@ -117,7 +117,7 @@ def a_few_points(scene: Scene) -> Grid:
     return divided_grid(scene, division, inner, rule)
 
 
-def _active(scene: Scene, grid: Grid, actuators):
+def where_active(scene: Scene, grid: Grid, actuators) -> Bool[Array, "points actuators"] | None:
     """Whether each actuator is there, (points, actuators); `None` where all run along all."""
     if not any(x is not None for x in (*(actuators.starts_at or ()), *(actuators.ends_at or ()))):
         return None
@@ -133,7 +133,7 @@ def _tendons(scene: Scene, grid: Grid, tensions) -> tuple[Array, Array, Array | 
     tendons = scene.tendons
     assert tendons is not None, INCOMPLETE
     r, r_s = tendons.routing(grid.s, scene.length)
-    there, by_length = _active(scene, grid, tendons), driven_by_length(tendons)
+    there, by_length = where_active(scene, grid, tendons), driven_by_length(tendons)
     if tensions is None:
         tensions = jnp.zeros(tendons.count)
     elif by_length:
@@ -169,7 +169,7 @@ def _chamber_wrench(scene: Scene, grid: Grid, pressures):
     chambers = scene.chambers
     assert chambers is not None, INCOMPLETE
     thrust = pressures * chambers.areas
-    there = _active(scene, grid, chambers)
+    there = where_active(scene, grid, chambers)
     if there is not None:
         thrust = jnp.where(there, thrust, 0.0)
     x, y = chambers.offsets[:, 0], chambers.offsets[:, 1]
