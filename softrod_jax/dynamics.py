@@ -84,9 +84,9 @@ class Trajectory(eqx.Module):
 def simulate(
     scene: Scene,
     dt: ScalarLike,
-    tensions: Real[Array | np.ndarray, "steps tendons"] | Sequence[ManyLike] | None = None,
+    tensions: Real[Array | np.ndarray, "steps by_tension"] | Sequence[ManyLike] | None = None,
     pressures: Real[Array | np.ndarray, "steps chambers"] | Sequence[ManyLike] | None = None,
-    pulls: Real[Array | np.ndarray, "steps pulled"] | Sequence[ManyLike] | None = None,
+    pulls: Real[Array | np.ndarray, "steps by_length"] | Sequence[ManyLike] | None = None,
     *,
     steps: int | None = None,
     substeps: int | None = None,
@@ -215,9 +215,9 @@ def beginning_in(initial: StaticSolution, scene: Scene) -> Beginning:
 
 def _from_start(inputs: Inputs, begin: Beginning | None):
     """The tensions that are given, (steps + 1, ...): those of the beginning before all others."""
-    tensions = inputs.tensions
-    if tensions is None:
+    if inputs.tensions is None:
         return None
+    tensions = jnp.asarray(inputs.tensions)
     first = jnp.zeros_like(tensions[:1]) if begin is None else tensions[:1]
     return jnp.concatenate([first, tensions])
 

@@ -82,9 +82,9 @@ class StaticSolution(eqx.Module):
 
 def solve_static(
     scene: Scene,
-    tensions: Real[Array | np.ndarray, "tendons"] | Sequence[ScalarLike] | None = None,
+    tensions: Real[Array | np.ndarray, "by_tension"] | Sequence[ScalarLike] | None = None,
     pressures: Real[Array | np.ndarray, "chambers"] | Sequence[ScalarLike] | None = None,
-    pulls: Real[Array | np.ndarray, "pulled"] | Sequence[ScalarLike] | None = None,
+    pulls: Real[Array | np.ndarray, "by_length"] | Sequence[ScalarLike] | None = None,
     *,
     method: AbstractMethod | None = None,
     newton: NewtonOptions = NewtonOptions(),

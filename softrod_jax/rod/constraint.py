@@ -24,11 +24,11 @@ class AbstractConstraint(eqx.Module):
 
     @property
     @abc.abstractmethod
-    def loads(self) -> list[Array]:
+    def loads(self) -> list[Any]:
         """What rises from zero in a continuation."""
 
     @abc.abstractmethod
-    def with_loads(self, loads: list[Array]) -> "AbstractConstraint":
+    def with_loads(self, loads: list[Any]) -> "AbstractConstraint":
         """The same under other loads."""
 
     @abc.abstractmethod

@@ -9,6 +9,9 @@ In other words, the tendon under its tension, l_i0 - d_i + tau_i / k_i, is never
 path; it is longer only where the tension is zero. Without the last term it does not stretch.
 """
 
+import dataclasses
+from typing import Any
+
 import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
@@ -43,11 +46,11 @@ class GivenLengths(AbstractConstraint):
         return len(self.which)
 
     @property
-    def loads(self) -> list[Array]:
+    def loads(self) -> list[Any]:
         return [self.shortening]
 
-    def with_loads(self, loads: list[Array]) -> "GivenLengths":
-        return eqx.tree_at(lambda x: x.shortening, self, *loads)
+    def with_loads(self, loads: list[Any]) -> "GivenLengths":
+        return dataclasses.replace(self, shortening=loads[0])
 
     def applied(self, rod: Rod, multipliers: Float[Array, "conditions"]) -> Rod:
         """With the tensions of these tendons beside those that are given."""
@@ -131,7 +134,10 @@ def _pretensioned(rod: Rod, lengths: GivenLengths, tensions) -> Float[Array, "po
 
 def _per_unit(rod: Rod, strain: Float[Array, "... strain"], which: tuple[int, ...]):
     """The lengths of these tendons' paths per unit of rod, (..., conditions)."""
-    return _paths(rod, which).paths(strain)[1]
+    paths = _paths(rod, which)
+    if paths.r.ndim > 2 and strain.ndim == 1:
+        strain = jnp.broadcast_to(strain, (paths.r.shape[0], strain.shape[0]))
+    return paths.paths(strain)[1]
 
 
 def _paths(rod: Rod, which: tuple[int, ...]) -> TendonPull:

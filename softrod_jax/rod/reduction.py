@@ -95,7 +95,7 @@ def make_rod(
     if pulls is not None:
         assert scene.tendons is not None, INCOMPLETE
         there = where_active(scene, grid, scene.tendons)
-        constraint = given_lengths(scene.tendons, rod, pulls, there)
+        constraint = given_lengths(scene.tendons, rod, jnp.asarray(pulls), there)
         rod = dataclasses.replace(rod, constraint=constraint)
     if plane is None:
         return rod

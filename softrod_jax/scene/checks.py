@@ -20,7 +20,7 @@ from softrod_jax.foundation.tracing import is_traced
 from softrod_jax.scene.completeness import incomplete
 from softrod_jax.scene.placement import Rule, arc_lengths, outside_sections
 from softrod_jax.scene.planes import fits_plane, misfits
-from softrod_jax.scene.ranges import ANY, Number, fields_of, numbers_of
+from softrod_jax.scene.ranges import ANY, Number, fields_of, numbers_of, singular
 from softrod_jax.scene.scene import Scene, as_arrays, map_numbers, total_length, with_total_length
 
 
@@ -185,7 +185,7 @@ def _fields(module: eqx.Module, prefix: str) -> Iterator[tuple[str, Number, Any]
         key = name if within else f"{prefix}.{name}"
         if number.each or _is_row(value):
             for i, item in enumerate(value):
-                one = f"{prefix}[{i}].{name.removesuffix('s')}"
+                one = f"{prefix}[{i}].{singular(name)}"
                 if item is not None:
                     yield f"{name}[{i}]" if within else one, number, item
         elif isinstance(value, eqx.Module) or name in ranges:
@@ -224,7 +224,7 @@ def _unfit(part: Part) -> Iterator[tuple[str, Any]]:
         return
     owner, name = part.key.rsplit(".", 1)
     for i in np.flatnonzero(~fits.reshape(len(fits), -1).all(axis=1)):
-        yield f"{owner}[{i}].{name.removesuffix('s')}", value[i].tolist()
+        yield f"{owner}[{i}].{singular(name)}", value[i].tolist()
 
 
 def _is_traced(value) -> bool:

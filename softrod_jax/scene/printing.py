@@ -11,7 +11,7 @@ import jax
 import numpy as np
 from jax.core import Tracer
 
-from softrod_jax.scene.ranges import ANY, Number, numbers_of
+from softrod_jax.scene.ranges import ANY, Number, numbers_of, singular
 
 # More parts of a kind, and larger arrays, are not shown as a whole.
 _MOST_PARTS = 8
@@ -45,8 +45,8 @@ def described(scene: eqx.Module) -> str:
 
 def _counted(name: str, texts: list[str]) -> list[str]:
     """A heading with how many there are, and a line for each of the first."""
-    singular = {"masses": "mass", "energies": "energy"}.get(name, name.removesuffix("s"))
-    counted = singular if len(texts) == 1 else name
+    one = {"masses": "mass", "energies": "energy"}.get(name, singular(name))
+    counted = one if len(texts) == 1 else name
     lines = [f"  {len(texts)} {counted.replace('_', ' ')}"]
     shown = texts if len(texts) <= _MOST_PARTS else texts[: _MOST_PARTS - 1]
     lines += [f"    {i}: {text}" for i, text in enumerate(shown)]
@@ -125,13 +125,13 @@ def _row(part, i: int) -> str:
             continue
         if number.per_actuator:
             one = dataclasses.replace(number, per_actuator=False)
-            texts.append(f"{name.removesuffix('s')} = {_quantity(value[i], one)}")
+            texts.append(f"{singular(name)} = {_quantity(value[i], one)}")
         elif name in ("guided", "control"):
             if part.words(name)[i] != _USUAL[name]:
                 texts.append(f"{name} = {part.words(name)[i]}")
         elif isinstance(value, tuple) and len(value) == part.count:
             if value[i] is not None:
-                texts.append(f"{name.removesuffix('s')} = {_value(value[i], number)}")
+                texts.append(f"{singular(name)} = {_value(value[i], number)}")
         else:
             texts.append(f"{name} = {_value(value, number)}")
     return ", ".join(texts)

@@ -103,6 +103,11 @@ def number(
     return eqx.field(**keywords)
 
 
+def singular(name: str) -> str:
+    """The key of one actuator's number, of the name of a field that has one for each."""
+    return name if name.endswith("ss") else name.removesuffix("s")
+
+
 def one_for_each(values):
     """A tuple with a value for each actuator; `None` where there is a value for none."""
     try:

@@ -123,8 +123,8 @@ def march(stepping: Stepping, inputs: Inputs, begin: Beginning | None, steps: in
     results = jnp.where(inaccurate, RESULTS.inaccurate, seen.results)
     strains = jnp.concatenate([start.fields.strain[None], seen.strains])
     velocities = jnp.concatenate([jnp.zeros_like(seen.velocities[:1]), seen.velocities])
-    rod, multipliers = moving.rod, seen.multipliers
-    if multipliers is not None:
-        multipliers = jnp.concatenate([start.progress.multipliers[None], multipliers])
+    rod, multipliers, at_first = moving.rod, seen.multipliers, start.progress.multipliers
+    if multipliers is not None and at_first is not None:
+        multipliers = jnp.concatenate([at_first[None], multipliers])
     strains, velocities = full_strain(strains, rod), in_space(velocities, rod.plane)
     return March(strains, velocities, results, multipliers, seen.stats)
