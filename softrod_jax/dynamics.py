@@ -103,8 +103,8 @@ def simulate(
     - `dt` [s]: the time step.
     - `tensions` [N], (steps, tendons driven by tension), `pressures` [Pa], (steps, chambers), and
       `pulls` [m], (steps, tendons driven by length): row k acts from ts[k] to ts[k + 1]. Where an
-      input does not jump but varies, row k is its value at ts[k + 1], reached linearly. `None`
-      leaves those actuators out.
+      input does not jump but varies, row k is its value at ts[k + 1], reached linearly; pulls,
+      which say where an actuator is, never jump. `None` leaves those actuators out.
     - `steps`: how many, where there are no inputs to tell.
     - `substeps`: equal parts into which each step is divided. `None`: one, and more where the
       tip is off by more than `max_time_error` and substeps can still be chosen, which is outside
@@ -210,7 +210,8 @@ def beginning_in(initial: StaticSolution, scene: Scene) -> Beginning:
     """How a motion of `scene` begins in an equilibrium of it."""
     by_length = driven_by_length(scene.tendons)
     found = initial.tensions[jnp.array(by_length)] if by_length else None
-    return Beginning(initial.point_strains, initial.result, found)
+    pulls = initial.pulls if by_length else None
+    return Beginning(initial.point_strains, initial.result, found, Inputs(pulls=pulls))
 
 
 def _from_start(inputs: Inputs, begin: Beginning | None):

@@ -50,6 +50,7 @@ class StaticSolution(eqx.Module):
     - `wrenches` (N, M), (outputs, 6): *total* force [N] and moment [N m], body frame.
     - `tensions` [N], (tendons,): of all tendons, at the end where their actuator is; those of
       tendons driven by length follow from their pulls, and are 0 where they are slack.
+    - `pulls` [m]: those that were given.
     - `markers`: by name, "tip" among them, a `Pose` (`position` [m], (3,), `quaternion`, (4,)).
     - `result`: a code of `RESULTS`; 0 is success. Else the numbers are the last iterate.
     - `stats`: "iterations", "residual" (Newton's last correction, relative to the size of the
@@ -68,6 +69,7 @@ class StaticSolution(eqx.Module):
     strains: Float[Array, "outputs 6"]
     wrenches: Float[Array, "outputs 6"]
     tensions: Float[Array, "tendons"]
+    pulls: Float[Array, "by_length"]
     markers: dict[str, Pose]
     result: Int[Array, ""]
     stats: dict
@@ -159,7 +161,7 @@ def _solve_static(scene, inputs, method, options):
     scene, rod, valid, layout, guess = _problem(scene, inputs, method)
     solved = solve_boundary_value(method, layout, options, rod, None, guess, search_by_load)
     none = jnp.zeros((), jnp.int32)
-    return _solution(scene, inputs.tensions, rod, method, solved, valid, none)
+    return _solution(scene, inputs, rod, method, solved, valid, none)
 
 
 @compiled
@@ -174,7 +176,7 @@ def _relaxed(scene, inputs, method, options):
     arrives = rest.at_rest | (rest.loaded & close)
     moving = jnp.where(arrives, found.result, RESULTS.diverged).astype(jnp.int32)
     solved = solved._replace(found=found._replace(result=moving))
-    return _solution(scene, inputs.tensions, rod, method, solved, valid, rest.steps)
+    return _solution(scene, inputs, rod, method, solved, valid, rest.steps)
 
 
 def _problem(scene, inputs, method):
@@ -184,7 +186,7 @@ def _problem(scene, inputs, method):
     return scene, rod, valid, layout, unloaded_guess(layout, rod)
 
 
-def _solution(scene, tensions, rod, method, solved, valid, transient_steps):
+def _solution(scene, inputs, rod, method, solved, valid, transient_steps):
     result = jnp.where(valid, solved.found.result, RESULTS.bad_input).astype(jnp.int32)
     fields, error = solved.fields, solved.found.error
     strain = full_strain(fields.strain, rod)
@@ -199,7 +201,8 @@ def _solution(scene, tensions, rod, method, solved, valid, transient_steps):
         quaternions=quaternions,
         strains=method.outputs(strain),
         wrenches=in_space(wrench, rod.plane),
-        tensions=tensions_of(scene, tensions, fields.multipliers),
+        tensions=tensions_of(scene, inputs.tensions, fields.multipliers),
+        pulls=jnp.zeros(0) if inputs.pulls is None else jnp.asarray(inputs.pulls),
         markers=seen(scene, method.inside(strain), nodes, positions, quaternions),
         result=result,
         stats={

@@ -42,7 +42,7 @@ from softrod_jax.stepping.marching import stepping_of
 from softrod_jax.stepping.moving_rod import Progress, State
 from softrod_jax.stepping.scheme import AbstractTimeScheme
 from softrod_jax.stepping.sdirk import SDIRK
-from softrod_jax.stepping.step_inputs import StepInputs
+from softrod_jax.stepping.step_inputs import StepInputs, without_places
 
 # The inputs, as learning calls them. Actuators that are `None` are at zero here.
 Action = Inputs
@@ -259,7 +259,7 @@ def _step(stepper, state, action, jump):
     good = good_inputs(action)
     action = zero_unless(good, action)
     jumps = jax.tree.map(lambda x: jnp.broadcast_to(jump, x.shape), action)
-    inputs = StepInputs(state.action, action, jumps, good)
+    inputs = StepInputs(state.action, action, without_places(jumps), good)
     restart = state.first | jump
     stepping, possible = _stepping(stepper, action)
     dt = stepping.moving.dt

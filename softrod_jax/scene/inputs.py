@@ -34,6 +34,7 @@ class Kind(NamedTuple):
     - `name` in `Inputs`; `part`: what of a scene it drives, and `of` that, in the plural, for
       messages; `unit`; `column`: of a log, with its number instead of "{}".
     - `at_least`: how low it may be, for what `reason`.
+    - `is_place`: whether it says where an actuator is, which cannot jump.
     """
 
     name: str
@@ -43,6 +44,7 @@ class Kind(NamedTuple):
     column: str
     at_least: float = -np.inf
     reason: str = ""
+    is_place: bool = False
 
     def count(self, scene: Scene) -> int:
         """How many actuators of a scene it drives."""
@@ -59,7 +61,7 @@ class Kind(NamedTuple):
 KINDS = (
     Kind("tensions", "tendons", "tendons", "N", "tau{}_N", 0.0, "a tendon can only pull"),
     Kind("pressures", "chambers", "chambers", "Pa", "p{}_Pa"),
-    Kind("pulls", "tendons", "tendons driven by length", "m", "pull{}_m"),
+    Kind("pulls", "tendons", "tendons driven by length", "m", "pull{}_m", is_place=True),
 )
 
 

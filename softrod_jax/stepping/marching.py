@@ -111,7 +111,8 @@ def march(stepping: Stepping, inputs: Inputs, begin: Beginning | None, steps: in
     """
     moving, substeps = stepping
     start = moving.at_rest(begin, good)
-    step_inputs, restart = inputs_of_steps(inputs, steps, from_rest=begin is None)
+    at_first = None if begin is None else begin.inputs
+    step_inputs, restart = inputs_of_steps(inputs, steps, at_first)
     length = moving.dt if isinstance(substeps, LocalError) else moving.dt / substeps
     coefficients = moving.scheme.coefficients(length, restart)
     _, seen = jax.lax.scan(

@@ -44,11 +44,15 @@ class Fields(NamedTuple):
 
 
 class Beginning(NamedTuple):
-    """The equilibrium in which a motion begins, and its result code; multipliers as in `Guess`."""
+    """The equilibrium in which a motion begins, its result code and, where they are known, inputs.
+
+    `multipliers`: as in `Guess`.
+    """
 
     strain: Float[Array, "points 6"]
     result: Int[Array, ""]
     multipliers: Float[Array, "conditions"] | None = None
+    inputs: Inputs = Inputs()
 
 
 class Progress(NamedTuple):

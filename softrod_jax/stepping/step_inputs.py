@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
-from softrod_jax.scene.inputs import Inputs, good_inputs, zero_unless
+from softrod_jax.scene.inputs import KINDS, Inputs, good_inputs, zero_unless
 
 
 class StepInputs(NamedTuple):
@@ -33,21 +33,35 @@ class StepInputs(NamedTuple):
 
 
 def inputs_of_steps(
-    inputs: Inputs, steps: int, from_rest: bool
+    inputs: Inputs, steps: int, at_first: Inputs | None
 ) -> tuple[StepInputs, Bool[Array, "steps"]]:
     """Those of every step, and at the beginning of which steps any of them jumps.
 
-    At the first step all do. Before it all are zero, or, where the motion begins in an
-    equilibrium, what they are in that step.
+    At the first step all do. Before it all are zero or, where the motion begins in an equilibrium,
+    what `at_first` says and, where that says nothing, what they are in that step. What cannot jump
+    is linear in every step.
     """
     good = good_inputs(inputs) & jnp.ones(steps, dtype=bool)
     inputs = zero_unless(good, inputs)
     jumped = jax.tree.map(jumps, inputs)
-    first = lambda x: jnp.zeros_like(x[:1]) if from_rest else x[:1]
-    before = jax.tree.map(lambda x: jnp.concatenate([first(x), x[:-1]]), inputs)
+
+    def before(rows, first):
+        if at_first is None:
+            first = jnp.zeros_like(rows[0])
+        return jnp.concatenate([rows[:1] if first is None else first[None], rows[:-1]])
+
+    begins = Inputs() if at_first is None else at_first
+    earlier = [None if x is None else before(x, first) for x, first in zip(inputs, begins)]
     jump = [jnp.any(jump, axis=1) for jump in jax.tree.leaves(jumped)]
     restart = functools.reduce(jnp.logical_or, jump, jnp.arange(steps) == 0)
-    return StepInputs(before, inputs, jumped, good), restart
+    return StepInputs(Inputs(*earlier), inputs, without_places(jumped), good), restart
+
+
+def without_places(jumped: Inputs) -> Inputs:
+    """Which inputs jump, of those that can: an actuator's place moves."""
+    each = zip(KINDS, jumped, strict=True)
+    still = lambda x: jax.tree.map(jnp.zeros_like, x)
+    return Inputs(*(still(x) if kind.is_place else x for kind, x in each))
 
 
 def jumps(inputs: Float[Array, "steps channels"]) -> Bool[Array, "steps channels"]:
