@@ -7,14 +7,22 @@ import sys
 from pathlib import Path
 
 # XLA's newer code generator for CPUs compiles these programs in twice the time, and they run no
-# faster. XLA aborts on a flag that it does not know, so a process of its own tries it first.
-_FLAG = "--xla_cpu_use_fusion_emitters=false"
-if "PYTEST_XDIST_WORKER" not in os.environ and _FLAG not in os.environ.get("XLA_FLAGS", ""):
-    flags = f"{os.environ.get('XLA_FLAGS', '')} {_FLAG}".strip()
+# faster; LLVM's optimisations take half of what is left, and most programs run for milliseconds.
+# A flag that is set already stays: with XLA_FLAGS=--xla_backend_optimization_level=3, the tests
+# run what users run. XLA aborts on a flag that it does not know, so a process of its own tries
+# them first.
+_FLAGS = "--xla_cpu_use_fusion_emitters=false", "--xla_backend_optimization_level=0"
+if "PYTEST_XDIST_WORKER" not in os.environ:
+    given = os.environ.get("XLA_FLAGS", "")
+    flags = " ".join([given, *(f for f in _FLAGS if f.partition("=")[0] not in given)]).strip()
     attempt = [sys.executable, "-c", "import jax; jax.devices()"]
     known = subprocess.run(attempt, env={**os.environ, "XLA_FLAGS": flags}, capture_output=True)
     if known.returncode == 0:
         os.environ["XLA_FLAGS"] = flags
+
+# Tracing makes millions of objects that live on; looking for garbage among them as often as
+# Python does by itself is a fifth of its time.
+gc.set_threshold(200_000, 20, 50)
 
 import jax  # noqa: E402
 import jaxtyping  # noqa: E402
