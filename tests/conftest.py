@@ -54,3 +54,17 @@ def wrong_types():
     jaxtyping.config.update("jaxtyping_disable", True)
     yield
     jaxtyping.config.update("jaxtyping_disable", False)
+
+
+@pytest.fixture
+def optimised_fits(monkeypatch):
+    """Programs of fits with LLVM's optimisations: where one runs hundreds of times, they pay."""
+    from calibration.problem import evaluation
+
+    options = evaluation.compiler_options()
+    if options is not None:
+        options = {**options, "xla_backend_optimization_level": 3}
+    monkeypatch.setattr(evaluation, "compiler_options", lambda: options)
+    evaluation._compiled.cache_clear()
+    yield
+    evaluation._compiled.cache_clear()
