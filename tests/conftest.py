@@ -7,14 +7,22 @@ import sys
 from pathlib import Path
 
 # XLA's newer code generator for CPUs compiles these programs in twice the time, and they run no
-# faster. XLA aborts on a flag that it does not know, so a process of its own tries it first.
-_FLAG = "--xla_cpu_use_fusion_emitters=false"
-if "PYTEST_XDIST_WORKER" not in os.environ and _FLAG not in os.environ.get("XLA_FLAGS", ""):
-    flags = f"{os.environ.get('XLA_FLAGS', '')} {_FLAG}".strip()
+# faster; LLVM's optimisations take half of what is left, and most programs run for milliseconds.
+# A flag that is set already stays: with XLA_FLAGS=--xla_backend_optimization_level=3, the tests
+# run what users run. XLA aborts on a flag that it does not know, so a process of its own tries
+# them first.
+_FLAGS = "--xla_cpu_use_fusion_emitters=false", "--xla_backend_optimization_level=0"
+if "PYTEST_XDIST_WORKER" not in os.environ:
+    given = os.environ.get("XLA_FLAGS", "")
+    flags = " ".join([given, *(f for f in _FLAGS if f.partition("=")[0] not in given)]).strip()
     attempt = [sys.executable, "-c", "import jax; jax.devices()"]
     known = subprocess.run(attempt, env={**os.environ, "XLA_FLAGS": flags}, capture_output=True)
     if known.returncode == 0:
         os.environ["XLA_FLAGS"] = flags
+
+# Tracing makes millions of objects that live on; looking for garbage among them as often as
+# Python does by itself is a fifth of its time.
+gc.set_threshold(200_000, 20, 50)
 
 import jax  # noqa: E402
 import jaxtyping  # noqa: E402
@@ -30,14 +38,28 @@ if "JAX_COMPILATION_CACHE_DIR" not in os.environ:
 jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.5)
 
 
+_compiled = []
+
+
+def _note(event, duration, **details):
+    if event.endswith("backend_compile_duration"):
+        _compiled.append(duration)
+
+
+jax.monitoring.register_event_duration_secs_listener(_note)
+
+
 @pytest.fixture(autouse=True)
 def few_programs():
     """Linux gives a process 65,530 mappings of memory; a compiled motion takes about 1,000."""
     yield
     maps = Path("/proc/self/maps")
-    if maps.exists() and maps.read_bytes().count(b"\n") > 30_000:
-        jax.clear_caches()
-        gc.collect()
+    # Counting them takes 25 ms where there are many, and most tests compile nothing.
+    if _compiled and maps.exists():
+        _compiled.clear()
+        if maps.read_bytes().count(b"\n") > 30_000:
+            jax.clear_caches()
+            gc.collect()
 
 
 @pytest.fixture
@@ -46,3 +68,17 @@ def wrong_types():
     jaxtyping.config.update("jaxtyping_disable", True)
     yield
     jaxtyping.config.update("jaxtyping_disable", False)
+
+
+@pytest.fixture
+def optimised_fits(monkeypatch):
+    """Programs of fits with LLVM's optimisations: where one runs hundreds of times, they pay."""
+    from calibration.problem import evaluation
+
+    options = evaluation.compiler_options()
+    if options is not None:
+        options = {**options, "xla_backend_optimization_level": 3}
+    monkeypatch.setattr(evaluation, "compiler_options", lambda: options)
+    evaluation._compiled.cache_clear()
+    yield
+    evaluation._compiled.cache_clear()

@@ -165,8 +165,11 @@ def test_a_nearly_perfect_column_buckles():
     push = lambda force: sr.TipLoad(force=jnp.array([force, 0.0, 0.0]))
     perfect = sr.solve_static(upright())
     assert not perfect.stats["stable"]
-    clear, slight = (sr.solve_static(upright(tip_load=push(f))) for f in (1e-4, 1e-7))
-    assert clear.stats["stable"] and slight.stats["stable"]
+    forces = 1e-4, 1e-6, 1e-7
+    clear, small, slight = (sr.solve_static(upright(tip_load=push(f))) for f in forces)
+    # What 1e-7 N adds against turning about the vertical is below the rounding of the sweep.
+    assert clear.stats["stable"] and small.stats["stable"]
+    assert small.stats["transient_steps"] > 0
     assert slight.stats["transient_steps"] > 0
     assert slight.tip_position[0] > 0.05
     # 1e-4 N itself moves the buckled tip by 1.2e-4 m.

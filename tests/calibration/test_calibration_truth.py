@@ -123,6 +123,7 @@ def test_a_real_beam():
 
 @pytest.mark.long
 @pytest.mark.skipif(not LOADED.exists(), reason="shared/data/beam is absent")
+@pytest.mark.usefixtures("optimised_fits")
 def test_a_real_beam_with_and_without_a_weight():
     """One modulus and one damping for both, if the fit knows that a hand let go of the weight."""
     scene = beam(young_modulus=3e5, bending_damping=5e-5)

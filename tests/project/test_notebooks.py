@@ -1,5 +1,6 @@
 """The notebooks run from top to bottom, and are committed with their outputs."""
 
+import os
 from pathlib import Path
 
 import jax
@@ -9,6 +10,8 @@ nbformat = pytest.importorskip("nbformat")
 nbclient = pytest.importorskip("nbclient")
 
 NOTEBOOKS = sorted((Path(__file__).parents[2] / "notebooks").glob("*.ipynb"))
+# They run a program hundreds of times or ten thousand of its samples: LLVM's optimisations pay.
+OFTEN = "04_calibrate", "05_ten_thousand_actuations", "07_learning"
 
 
 def read(path):
@@ -31,6 +34,9 @@ def test_committed_with_outputs(path):
 @pytest.mark.long
 @pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
 def test_runs(path, monkeypatch):
-    # Notebooks share programs with each other and with tests.
+    # Notebooks share programs with each other.
     monkeypatch.setenv("JAX_COMPILATION_CACHE_DIR", jax.config.jax_compilation_cache_dir)
+    if path.stem in OFTEN:
+        flags = os.environ.get("XLA_FLAGS", "").replace("--xla_backend_optimization_level=0", "")
+        monkeypatch.setenv("XLA_FLAGS", flags.strip())
     nbclient.NotebookClient(read(path), timeout=1200, kernel_name="python3").execute()

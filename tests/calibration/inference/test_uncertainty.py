@@ -58,6 +58,7 @@ def test_verdicts():
 
 @pytest.mark.long
 @pytest.mark.parametrize("correlation, count", [(0.0, 200), (0.6, 80)])
+@pytest.mark.usefixtures("optimised_fits")
 def test_coverage(correlation, count):
     """95 % intervals hold the truth in 90 to 98 % of synthetic recordings."""
     start = beam(young_modulus=2.8e5, bending_damping=7e-5)
