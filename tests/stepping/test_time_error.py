@@ -10,8 +10,10 @@ import pytest
 
 import softrod_jax as sr
 from softrod_jax.rod.constants import make_rod
+from softrod_jax.rod.rotations import to_base
 from softrod_jax.scene.scene import as_arrays
 from softrod_jax.stepping.step_control import run_checked
+from softrod_jax.stepping.time_error import rate_of_change
 
 # Tips after 5, 10, 15 and 20 steps, and at the end of the other motion: from explicit finite
 # differences of a discrete Lagrangian, known to 1e-3 and 3e-3 lengths.
@@ -250,6 +252,60 @@ def test_errors_grow_under_a_moment_that_makes_the_rod_flutter():
     estimate = rough.stats["time_error"]
     assert estimate[-1] > 3 * estimate[9]  # and so does the estimate
     assert np.all(3 * estimate > np.maximum.accumulate(apart)[1:])
+
+
+LENGTH, RADIUS, YOUNG, DENSITY = 0.1, 1e-3, 1e6, 1e3
+EI_LL = YOUNG * np.pi / 4 * RADIUS**4 / LENGTH**2
+OWN_MASS = DENSITY * np.pi * RADIUS**2 * LENGTH
+# Poses of the clamp: any, and one in each plane.
+POSES = {
+    None: [0.5, 0.7, -0.3, 0.4],
+    "xz": [np.cos(0.7), 0.0, np.sin(0.7), 0.0],
+    "yz": [np.cos(0.7), np.sin(0.7), 0.0, 0.0],
+}
+
+
+# The loads of Euler, pi^2/4, and Greenhill, 7.837, in EI/L^2, press `part` of them on a rod.
+@pytest.mark.parametrize("plane", POSES)
+@pytest.mark.parametrize(
+    "loads",
+    [
+        lambda down: dict(tip_load=sr.TipLoad(force=np.pi**2 / 4 * down)),
+        lambda down: dict(loads=[sr.Load(0.999 * LENGTH, force=np.pi**2 / 4 * down)]),
+        lambda down: dict(gravity=7.837 / OWN_MASS * down),
+        lambda down: dict(
+            gravity=down / OWN_MASS,
+            payload=sr.Payload((np.pi**2 / 4 - 0.3) * OWN_MASS / 2),
+            masses=[sr.Mass(0.999 * LENGTH, (np.pi**2 / 4 - 0.3) * OWN_MASS / 2)],
+        ),
+    ],
+    ids=["tip force", "force", "weight", "payload and mass"],
+)
+def test_errors_grow_where_a_rod_gives_way(loads, plane):
+    pose = np.array(POSES[plane]) / np.linalg.norm(POSES[plane])
+    axis = to_base(jnp.array(pose), jnp.array([0.0, 0.0, 1.0]))
+
+    def rate(part):
+        scene = sr.Scene(
+            length=LENGTH,
+            section=sr.Circle(RADIUS),
+            young_modulus=YOUNG,
+            poisson_ratio=0.3,
+            density=DENSITY,
+            base_quaternion=pose,
+            plane=plane,
+            **loads(-part * EI_LL * axis),
+        )
+        method = sr.Collocation(20).fitted(scene)
+        grid = method.grid(as_arrays(scene))
+        rod = make_rod(as_arrays(scene), grid=grid)
+        straight = jnp.array([0.0, 0.0, 1.0]) if plane else axis
+        tangent = jnp.broadcast_to(straight, (*method.outputs(grid.s).shape, 3))
+        return rate_of_change(rod, tangent, method)
+
+    assert rate(0.98) == 0
+    assert rate(1.04) > 0
+    assert rate(-5.0) == 0
 
 
 @pytest.mark.parametrize("damping", [None, 1e-6])
