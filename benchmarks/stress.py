@@ -186,7 +186,8 @@ def main():
     print(f"{(time.perf_counter() - begin) / 60:.1f} min, seed {options.seed}")
     if options.details:
         for what, kind in KINDS.items():
-            print(kind.details([row for row in rows if row["what"] == what]))
+            here = [row for row in rows if row["what"] == what]
+            print(kind.details(here) if here else "")
     if options.write_readme:
         matplotlib.use("agg")
         draw(rows).savefig(FIGURE, dpi=130)

@@ -116,8 +116,9 @@ def simulate(
       those found on a typical motion.
     - `max_time_error`: above this estimated error of the tip from the steps in time, in lengths,
       the code is `inaccurate`; `stats["needed_substeps"]` says what would do. The estimate of one
-      motion is 0.4 to 20 times its error. Outside of `jit`, `vmap` and `grad`, from 0.4 of the
-      limit on, a second motion with more care decides.
+      motion is 0.8 to 120 times its error in nine of ten wide motions, in the median 4 times; two
+      of 115, off by a tenth of the rod as their steps miss how it snaps, had 0.15 and 0.3. Outside
+      of `jit`, `vmap` and `grad`, from 0.4 of the limit on, a second motion with more care decides.
     - `initial`: start from this equilibrium (same `method`); from the unloaded rod if `None`. One
       that has not been found has no motion either: its code is that of the motion.
     - `scheme`: `SDIRK` or `BDFAlpha`. `method`: `Collocation` or `Shooting`, on the grid as given.

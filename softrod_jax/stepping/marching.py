@@ -54,8 +54,7 @@ class Stepping(NamedTuple):
         progress = state.progress._replace(iterations=none[0], correction=none[1])
         state = State(state.memory, progress)
         if isinstance(self.substeps, LocalError):
-            limit = self.substeps.limit
-            state, count = substeps_by_error(self.moving, limit, inputs, state)
+            state, count = substeps_by_error(self.moving, self.substeps, inputs, state)
         else:
             state, count = equal_substeps(self.moving, self.substeps, inputs, coefficients, state)
         progress = state.progress._replace(error=self._error(state))

@@ -28,8 +28,9 @@ _FIRST_LIMIT, _LAST_LIMIT = 0.1, 1e-6
 # The estimated error along the rod, in tolerances, from which on the grid is refined.
 _GRID_SHARE = 0.25
 # How much stricter the next limit is: as the error asks for, which falls a little slower than the
-# limit, within these factors.
+# limit, within these factors; and how much shorter the longest substep.
 _LEAST_STRICTER, _MOST_STRICTER = 8.0, 64.0
+_SHORTER = 2.0
 # Steps per radian of the slowest bending mode in the first try with equal steps.
 _STEPS_PER_RADIAN = 2
 # Where no tolerance is given: the lengths of the rod that are kept once steps turn out too long,
@@ -81,21 +82,25 @@ def run_within(
     return _with(last, error, method)
 
 
-def _with_more_care(run, rod, first, care, method, fixed_grid, tolerance, enough=None, tries=None):
+def _with_more_care(
+    run, rod, first, care, method, fixed_grid, tolerance, enough=None, rough=None, tries=None
+):
     """The last motion, its difference to the one before, its method, and whether they agree.
 
     `first`: the motion with the `care` and `method` that are given. There are `tries` at most, and
     else as many as there is more care to take. To agree is to differ by `enough` at most, by
-    `tolerance` where that is `None`.
+    `tolerance` where that is `None`; `rough` is the estimate along the rod from which on a finer
+    grid is taken, and else a share of `tolerance`.
     """
     enough = tolerance if enough is None else enough
+    rough = _GRID_SHARE * tolerance if rough is None else rough
     last, excess, error = first, 1.0, None
     good, good_method = (last if last.result == RESULTS.successful else None), method
     for attempt in itertools.count(1):
         if attempt > 1 and (_is_last(care, tolerance) or attempt == tries):
             break
         before = method
-        if not fixed_grid and _needs_finer_grid(last, method, tolerance):
+        if not fixed_grid and _needs_finer_grid(last, method, rough):
             method = method.finer()
         # Where the grid was to blame, too, stricter steps than these may be for nothing.
         care = _more_care(care, excess if method == before else 1.0)
@@ -158,14 +163,28 @@ def run_checked(
         error = np.maximum(_apart(motion, fine, rod) + left, least)
         if error[-1] <= limit:
             return judged(error)
+    # Short steps show waves for which the grid of long ones is too coarse.
     found, error, method_found, agrees = _with_more_care(
-        unjudged, rod, fine, care, method, fixed_grid, _KEPT, enough=_CONFIRMS * limit, tries=_TRIES
+        unjudged,
+        rod,
+        fine,
+        care,
+        method,
+        fixed_grid,
+        _KEPT,
+        enough=_CONFIRMS * limit,
+        rough=_ROUGH,
+        tries=_TRIES,
     )
     if not agrees:
         if fine.result != RESULTS.successful:
             return _with(motion, None, method)  # no other tells more than the estimate does
-        # The estimate is contradicted: it may be too small.
-        return judged(np.asarray(motion.stats["time_error"]) / _DOUBTFUL)
+        # The estimate is contradicted: it may be too small. What is right is not known, but the
+        # motion with the most care is the best guess at it.
+        error = np.asarray(motion.stats["time_error"]) / _DOUBTFUL
+        if found.result == RESULTS.successful:
+            error = np.maximum(error, _apart(motion, found, rod))
+        return judged(error)
     if not fixed_steps:
         return _with(found, error, method_found)
     needed = jnp.max(found.stats["substeps"])
@@ -228,7 +247,9 @@ def _judged(motion, limit: float):
 def _first_care(rod, dt, scheme, substeps, tolerance):
     """What to give to `run` for its `substeps` at first: a `LocalError`, or a number."""
     if scheme.one_step:
-        return LocalError(jnp.array(_FIRST_LIMIT * tolerance))
+        # With a dtype of their own, as more care has: one program serves all tries.
+        number = lambda x: jnp.array(x, dtype=float)
+        return LocalError(number(_FIRST_LIMIT * tolerance), number(1 / substeps))
     # On the device the number of substeps is an input: one program serves all tries.
     return jnp.array(max(substeps, _first_substeps(rod, dt, tolerance)))
 
@@ -236,7 +257,10 @@ def _first_care(rod, dt, scheme, substeps, tolerance):
 def _more_care(care, excess: float):
     """For an error that is `excess` times the tolerance."""
     if isinstance(care, LocalError):
-        return LocalError(care.limit / np.clip(excess**1.25, _LEAST_STRICTER, _MOST_STRICTER))
+        # Every substep is shorter: that two motions agree where both have the same ones tells
+        # nothing of the error, and a local error that moves nothing yet may be one of speed.
+        stricter = np.clip(excess**1.25, _LEAST_STRICTER, _MOST_STRICTER)
+        return LocalError(care.limit / stricter, care.longest / _SHORTER)
     return care * (4 if excess > 16 else 2)
 
 
@@ -263,12 +287,12 @@ def _first_substeps(rod: Rod, dt: float, tolerance: float) -> int:
     return max(1, math.ceil(_STEPS_PER_RADIAN * omega * dt))
 
 
-def _needs_finer_grid(motion, method: AbstractMethod, tolerance: float) -> bool:
+def _needs_finer_grid(motion, method: AbstractMethod, rough: float) -> bool:
     if 2 * method.intervals > _MOST_INTERVALS:
         return False
     # One that is not a number is above no limit.
-    rough = np.max(motion.stats["error"]) > _GRID_SHARE * tolerance
-    return bool(rough) or int(motion.result) in _CURABLE
+    too_rough = np.max(motion.stats["error"]) > rough
+    return bool(too_rough) or int(motion.result) in _CURABLE
 
 
 def _is_smooth(motion, method: AbstractMethod) -> bool:

@@ -24,9 +24,13 @@ _CAUTION, _LEAST, _MOST, _AFTER_FAILURE = 0.9, 0.2, 4.0, 0.25
 
 
 class LocalError(NamedTuple):
-    """Substeps as short as it takes: each moves the tip wrongly by `limit` lengths at most."""
+    """Substeps as short as it takes: each moves the tip wrongly by `limit` lengths at most.
+
+    `longest`: of a substep, in steps.
+    """
 
     limit: Float[Array, ""]
+    longest: Float[Array, ""]
 
 
 def equal_substeps(
@@ -46,9 +50,9 @@ def equal_substeps(
 
 
 def substeps_by_error(
-    moving: MovingRod, limit, inputs: StepInputs, state: State
+    moving: MovingRod, care: LocalError, inputs: StepInputs, state: State
 ) -> tuple[State, Int[Array, ""]]:
-    """A step in parts that move the tip wrongly by `limit` lengths at most, and their number.
+    """A step in parts with as much `care`, and their number.
 
     A substep whose error is too large, or which has no solution, is repeated, shorter.
     """
@@ -60,7 +64,7 @@ def substeps_by_error(
 
     def attempt(loop):
         state, done, count = loop
-        state, accepted_part = _attempt(moving, limit, inputs, state, done)
+        state, accepted_part = _attempt(moving, care, inputs, state, done)
         return state, done + accepted_part, count + 1
 
     (memory, progress), done, count = jax.lax.while_loop(
@@ -71,14 +75,16 @@ def substeps_by_error(
     return State(memory, progress._replace(result=result)), count
 
 
-def _attempt(moving: MovingRod, limit, inputs: StepInputs, state: State, done):
+def _attempt(moving: MovingRod, care: LocalError, inputs: StepInputs, state: State, done):
     """One substep from `done` on: the state, and its part of the step, 0 if it was rejected."""
-    before, shortest = state.progress, _RUN * moving.crossing
+    shortest = _RUN * moving.crossing
+    longest = jnp.maximum(care.longest, jnp.minimum(shortest, 1.0))
+    before = state.progress._replace(part=jnp.minimum(state.progress.part, longest))
     # Not a sliver at the end of the step.
     part = jnp.where(done + 1.05 * before.part >= 1.0, 1.0 - done, before.part)
     coefficients = moving.scheme.coefficients(part * moving.dt, jnp.zeros(1, dtype=bool))[0]
     new, errors = moving.substep(inputs, done, part, coefficients, state)
-    shift = tip_shift(errors.lower, errors.of_integral, moving.grid, moving.layout) / limit
+    shift = tip_shift(errors.lower, errors.of_integral, moving.grid, moving.layout) / care.limit
     tried = new.progress
     solved = tried.result == RESULTS.successful
     ok = solved & ((shift <= 1.0) | (part <= 1.01 * shortest))

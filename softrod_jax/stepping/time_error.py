@@ -2,9 +2,13 @@
 
 Every step makes a local error, in modes of the rod that it resolves and in those that it does not.
 An oscillation turns a local error about but does not undo it: local errors are added up by
-their size, and not as vectors. What damping makes a rod forget is forgotten, and what a moment in
-space makes grow has grown. The estimate is thus a cautious one, and costs a few operations along
-the rod a step.
+their size, and not as vectors. What damping makes a rod forget is forgotten, and what a force that
+presses the rod together or a moment in space makes grow has grown. The estimate is thus a cautious
+one, and costs a few operations along the rod a step.
+
+Errors of the speed are not counted beside those of the place: a motion that swings has both, of
+about the same size, and to add them made the estimate six times as large in the median, and the
+least ratios to the error no larger.
 """
 
 import jax.numpy as jnp
@@ -12,7 +16,7 @@ from jaxtyping import Array, Float
 
 from softrod_jax.bvp.method import AbstractMethod
 from softrod_jax.rod.constants import Rod, full_strain
-from softrod_jax.rod.rotations import cross, to_base
+from softrod_jax.rod.rotations import cross, to_base, to_body
 from softrod_jax.rod.shape import ORIGIN
 from softrod_jax.scene.planes import in_space
 from softrod_jax.stepping.scheme import LocalErrors
@@ -52,7 +56,7 @@ def accumulated(total, errors: LocalErrors, dt, strain, rod: Rod, method: Abstra
         if error is not None
     ]
     # What grows by more in a step is an oscillation that the scheme damps out.
-    changed = jnp.exp(jnp.minimum(rate_of_change(rod, tangent) * dt, 1.0))
+    changed = jnp.exp(jnp.minimum(rate_of_change(rod, tangent, method) * dt, 1.0))
     return changed * total + jnp.min(jnp.stack(moved), axis=0)
 
 
@@ -84,8 +88,14 @@ def largest_displacement(
     return jnp.sqrt(jnp.max(jnp.sum(moved * moved, -1))) / rod.L
 
 
-def rate_of_change(rod: Rod, tangent: Float[Array, "nodes 3"]) -> Float[Array, ""]:
+def rate_of_change(
+    rod: Rod, tangent: Float[Array, "nodes 3"], method: AbstractMethod
+) -> Float[Array, ""]:
     """The rate [1/s] at which an error in the first bending mode grows or, below 0, is forgotten.
+
+    Forces of fixed direction that press the rod together make that mode less stiff, and one that
+    gives way falls on: with the shape of the mode for a trial one (Rayleigh), it is found unstable
+    only where it is.
 
     A moment of fixed direction has no potential in space (Ziegler, Principles of Structural
     Stability, 1968). What of it points along the rod's `tangent` couples that mode in two planes
@@ -101,19 +111,61 @@ def rate_of_change(rod: Rod, tangent: Float[Array, "nodes 3"]) -> Float[Array, "
         # Where the mode creeps, the rate at which it does.
         creeps = jnp.min(rod.K_bt[..., :2]) / jnp.maximum(damping, 1e-300)
         decay = jnp.minimum(swings, _BELIEVED * creeps)
-    moments = [] if rod.plane is not None else _moments_along(rod, tangent)
-    if not moments:
-        return -decay
-    along = sum(moments)
+    unit = tangent / jnp.sqrt(jnp.sum(tangent * tangent, -1, keepdims=True))
+    along = 0.0 if rod.plane is not None else sum(_moments_along(rod, unit))
     kappa = 0.5 * _SLOPE**2 * along / (rod.L**2 * tip_mass(rod))
-    square = swings**2 - 3 * jnp.min(rod.K_bt[..., :2]) / (rod.L**3 * tip_mass(rod))
+    softer = jnp.maximum(_softening(rod, unit, method), 0.0)
+    stiffness = 3 * jnp.min(rod.K_bt[..., :2]) / rod.L**3 - softer
+    square = swings**2 - stiffness / tip_mass(rod)
     root = jnp.sqrt(jnp.maximum(0.5 * (jnp.sqrt(square**2 + kappa**2) + square), 0.0))
     return jnp.maximum(root - swings, -decay)
 
 
-def _moments_along(rod: Rod, tangent: Float[Array, "nodes 3"]) -> list[Float[Array, ""]]:
+def _softening(rod: Rod, unit: Float[Array, "nodes 3"], method: AbstractMethod) -> Float[Array, ""]:
+    """By how much forces of fixed direction lower the first mode's stiffness [N/m].
+
+    The integral of what presses along the rod times the mode's slope squared, that of a cantilever
+    with a force at its tip; its displacement there is 1.
+    """
+    x = method.outputs(rod.grid.s) / rod.L
+    pressed = -jnp.sum(_forces_beyond(rod, x, method) * unit, -1)
+    slope = 3 * x * (1 - x / 2) / rod.L
+    f = pressed * slope**2
+    return jnp.sum(0.5 * jnp.diff(x) * (f[1:] + f[:-1])) * rod.L
+
+
+def _forces_beyond(rod: Rod, x, method: AbstractMethod) -> Float[Array, "nodes 3"]:
+    """The sum [N] of all forces of fixed direction beyond each node, in the frame of `accumulated`.
+
+    `x` (nodes,): where the nodes are, in lengths.
+    """
+    force = jnp.zeros((*x.shape, rod.v_star.shape[-1]))
+    if rod.F_tip is not None:
+        force += rod.F_tip
+    if rod.weight is not None and rod.gravity is not None:
+        weight = jnp.broadcast_to(rod.weight, (*rod.grid.s.shape, rod.weight.shape[-1]))
+        weight = method.outputs(weight)
+        parts = 0.5 * jnp.diff(x)[:, None] * rod.L * (weight[1:] + weight[:-1])
+        force = force.at[:-1].add(jnp.cumsum(parts[::-1], axis=0)[::-1])
+        force += 0.0 if rod.payload is None else rod.payload * rod.gravity
+    for load in rod.at_gaps or ():
+        before = jnp.arange(x.shape[0])[:, None] <= rod.grid.gaps
+        there = (before @ load.here)[:, None]
+        if load.F is not None and load.frame == "base":
+            force += there * load.F
+        if load.mass is not None and rod.gravity is not None:
+            force += there * load.mass * rod.gravity
+    if rod.plane is None:
+        return force
+    return _vector_in_space(to_body(rod.h_base, force), rod.plane)
+
+
+def _vector_in_space(a: Float[Array, "nodes 2"], plane: str) -> Float[Array, "nodes 3"]:
+    return in_space(jnp.pad(a, ((0, 0), (0, 1))), plane)[:, :3]
+
+
+def _moments_along(rod: Rod, unit: Float[Array, "nodes 3"]) -> list[Float[Array, ""]]:
     """The size of what each moment of fixed direction has along the rod where it acts [N m]."""
-    unit = tangent / jnp.sqrt(jnp.sum(tangent * tangent, -1, keepdims=True))
     moments = [] if rod.M_tip is None else [rod.M_tip @ unit[-1]]
     for load in rod.at_gaps or ():
         if load.M is not None and load.frame == "base":

@@ -1,6 +1,7 @@
 """The estimated error of steps in time against motions known from an independent explicit code."""
 
 import dataclasses
+import itertools
 
 import jax
 import jax.numpy as jnp
@@ -8,7 +9,11 @@ import numpy as np
 import pytest
 
 import softrod_jax as sr
+from softrod_jax.rod.constants import make_rod
+from softrod_jax.rod.rotations import to_base
 from softrod_jax.scene.scene import as_arrays
+from softrod_jax.stepping.step_control import run_checked
+from softrod_jax.stepping.time_error import rate_of_change
 
 # Tips after 5, 10, 15 and 20 steps, and at the end of the other motion: from explicit finite
 # differences of a discrete Lagrangian, known to 1e-3 and 3e-3 lengths.
@@ -147,6 +152,94 @@ def test_motions_of_the_same_steps_do_not_confirm_each_other():
         assert off(motion) < 3 * motion.stats["time_error"][-1]
 
 
+def buckling():
+    """A thin rod under a force from above, 560 EI/L^2, that it and a heavy payload give way to."""
+    return as_arrays(
+        sr.Scene(
+            length=0.0662226,
+            section=sr.Annulus(7.70654e-05, 5.83503e-05),
+            young_modulus=9.75576e8,
+            poisson_ratio=0.110157,
+            density=2588.81,
+            bending_damping=1.99913e-13,
+            shear_damping=8.55808e-05,
+            gravity=[0.0297665, 0.00148165, 0.00552688],
+            payload=sr.Payload(4.57547e-4),
+            tip_load=sr.TipLoad(force=[1.788548e-3, -3.733489e-4, 1.438873e-3]),
+            base_quaternion=[0.711245, 0.583919, -0.20021, -0.336282],
+        )
+    )
+
+
+@pytest.mark.parametrize("options", [{}, {"tolerance": 2e-3}], ids=str)
+def test_every_step_is_divided_for_a_motion_that_tells_an_error(options):
+    """Where two motions have the same steps, their difference lacks an error of speed made there.
+
+    Here it is made in the first three steps, whose local errors move the tip by little at once.
+    """
+    scene, dt, grid = buckling(), 5.177695e-3, sr.Collocation(24)
+    fine = sr.simulate(scene, dt, steps=20, substeps=32, method=grid)
+    motion = sr.simulate(scene, dt, steps=20, method=grid, **options)
+    assert motion.result == sr.RESULTS.successful
+    off = np.max(np.linalg.norm(motion.tip_positions - fine.tip_positions, axis=1)) / scene.length
+    assert off < 3 * motion.stats["time_error"][-1]
+
+
+@pytest.fixture(scope="module")
+def hanging():
+    """A rod, and a motion of it for others to be made of."""
+    rod = dict(length=0.1, section=sr.Circle(6e-3), young_modulus=5e4, poisson_ratio=0.49)
+    scene = as_arrays(sr.Scene(**rod, density=1070.0))
+    return scene, sr.simulate(scene, 5e-3, steps=3, method=sr.Collocation(6))
+
+
+def checked(hanging, tip, time_error, along=lambda k: 0.0):
+    """What `run_checked` makes of motions whose k-th has these numbers, and the care of each."""
+    (scene, motion), taken = hanging, []
+
+    def run(care, method, limit):
+        k = len(taken)
+        taken.append((care, method))
+        same = jnp.ones(3)
+        stats = {"time_error": time_error(k) * same, "error": along(k) * same}
+        code = sr.RESULTS.inaccurate if time_error(k) > limit else sr.RESULTS.successful
+        return dataclasses.replace(
+            motion,
+            tip_positions=motion.tip_positions.at[1:, 0].set(tip(k) * scene.length),
+            result=jnp.array(code, jnp.int32),
+            stats=motion.stats | stats | {"substeps": jnp.full(3, 2**k)},
+        )
+
+    options = dict(fixed_grid=False, fixed_steps=False, substeps=1, limit=1e-2)
+    method = sr.Collocation(6)
+    rod = make_rod(scene)
+    return run_checked(run, rod, 5e-3, sr.SDIRK(), method, **options), taken
+
+
+def test_motions_that_never_agree_are_as_wrong_as_the_best_of_them_says(hanging):
+    motion, taken = checked(
+        hanging, tip=lambda k: [0.0, 0.1, 0.3, 0.5][k], time_error=lambda k: 0.02
+    )
+    assert len(taken) == 4
+    assert motion.result == sr.RESULTS.inaccurate
+    np.testing.assert_allclose(motion.stats["time_error"], 0.5)
+
+
+def test_more_care_means_shorter_substeps_and_a_grid_for_what_they_show(hanging):
+    """The first motion, with long steps, has no waves that would be rough on its grid."""
+    motion, taken = checked(
+        hanging,
+        tip=lambda k: [0.1, 0.05, 0.0, 0.0][k],
+        time_error=lambda k: 0.02,
+        along=lambda k: [0.0, 3e-4, 0.0, 0.0][k],
+    )
+    cares = [care for care, _ in taken[1:]]
+    assert len(cares) == 3
+    assert all(b.limit < a.limit and b.longest < a.longest for a, b in itertools.pairwise(cares))
+    assert [method.intervals for _, method in taken] == [6, 6, 12, 12]
+    assert motion.result == sr.RESULTS.successful and motion.stats["intervals"] == 12
+
+
 def test_errors_grow_under_a_moment_that_makes_the_rod_flutter():
     """A moment about the rod's own axis, of fixed direction, does work in a whirling motion."""
     scene = under_a_moment([0.000592, 0.000197, 0.00391], bending_damping=1e-8)
@@ -159,6 +252,60 @@ def test_errors_grow_under_a_moment_that_makes_the_rod_flutter():
     estimate = rough.stats["time_error"]
     assert estimate[-1] > 3 * estimate[9]  # and so does the estimate
     assert np.all(3 * estimate > np.maximum.accumulate(apart)[1:])
+
+
+LENGTH, RADIUS, YOUNG, DENSITY = 0.1, 1e-3, 1e6, 1e3
+EI_LL = YOUNG * np.pi / 4 * RADIUS**4 / LENGTH**2
+OWN_MASS = DENSITY * np.pi * RADIUS**2 * LENGTH
+# Poses of the clamp: any, and one in each plane.
+POSES = {
+    None: [0.5, 0.7, -0.3, 0.4],
+    "xz": [np.cos(0.7), 0.0, np.sin(0.7), 0.0],
+    "yz": [np.cos(0.7), np.sin(0.7), 0.0, 0.0],
+}
+
+
+# The loads of Euler, pi^2/4, and Greenhill, 7.837, in EI/L^2, press `part` of them on a rod.
+@pytest.mark.parametrize("plane", POSES)
+@pytest.mark.parametrize(
+    "loads",
+    [
+        lambda down: dict(tip_load=sr.TipLoad(force=np.pi**2 / 4 * down)),
+        lambda down: dict(loads=[sr.Load(0.999 * LENGTH, force=np.pi**2 / 4 * down)]),
+        lambda down: dict(gravity=7.837 / OWN_MASS * down),
+        lambda down: dict(
+            gravity=down / OWN_MASS,
+            payload=sr.Payload((np.pi**2 / 4 - 0.3) * OWN_MASS / 2),
+            masses=[sr.Mass(0.999 * LENGTH, (np.pi**2 / 4 - 0.3) * OWN_MASS / 2)],
+        ),
+    ],
+    ids=["tip force", "force", "weight", "payload and mass"],
+)
+def test_errors_grow_where_a_rod_gives_way(loads, plane):
+    pose = np.array(POSES[plane]) / np.linalg.norm(POSES[plane])
+    axis = to_base(jnp.array(pose), jnp.array([0.0, 0.0, 1.0]))
+
+    def rate(part):
+        scene = sr.Scene(
+            length=LENGTH,
+            section=sr.Circle(RADIUS),
+            young_modulus=YOUNG,
+            poisson_ratio=0.3,
+            density=DENSITY,
+            base_quaternion=pose,
+            plane=plane,
+            **loads(-part * EI_LL * axis),
+        )
+        method = sr.Collocation(20).fitted(scene)
+        grid = method.grid(as_arrays(scene))
+        rod = make_rod(as_arrays(scene), grid=grid)
+        straight = jnp.array([0.0, 0.0, 1.0]) if plane else axis
+        tangent = jnp.broadcast_to(straight, (*method.outputs(grid.s).shape, 3))
+        return rate_of_change(rod, tangent, method)
+
+    assert rate(0.98) == 0
+    assert rate(1.04) > 0
+    assert rate(-5.0) == 0
 
 
 @pytest.mark.parametrize("damping", [None, 1e-6])
