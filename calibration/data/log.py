@@ -6,7 +6,7 @@ from array import array
 from dataclasses import replace
 from os import PathLike
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -43,7 +43,8 @@ def read_log(path: str | PathLike, scene=None, *, need_tip: bool = True) -> Reco
     """
     header, columns, values, lines = _table(path, scene, need_tip)
     _check_values(values, header, columns.tip, lines, path)
-    inputs = {name: values[:, own] if own else None for name, own in columns.inputs.items()}
+    inputs: dict[str, Any] = dict.fromkeys(columns.inputs)
+    inputs |= {name: values[:, own] for name, own in columns.inputs.items() if own}
     tip, unseen = values[:, columns.tip], []
     if scene is not None and tip.shape[1]:
         tip, unseen = at_zero(tip, always=base_is_zero(scene))

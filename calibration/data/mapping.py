@@ -47,6 +47,7 @@ the file. A sample of the tip at exactly (0, 0, 0) is one that was not seen.
 from dataclasses import replace
 from os import PathLike
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -295,7 +296,7 @@ def _merged(path, clock, tip, inputs):
         values, clipped = without_noise_below_zero([x[2] for x in tensions], where)
         tensions = [(x[0], x[1], v) for x, v in zip(tensions, values, strict=True)]
         inputs = {**inputs, "tensions": tensions}
-    columns = {
+    columns: dict[str, Any] = {
         name: np.stack([np.interp(times, x[1], x[2]) for x in parts], axis=1) if parts else None
         for name, parts in inputs.items()
     }

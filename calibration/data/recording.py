@@ -13,7 +13,7 @@ from os import PathLike
 import numpy as np
 
 from softrod_jax.foundation.whole_files import whole_file
-from softrod_jax.scene.inputs import KINDS, Inputs, Kind
+from softrod_jax.scene.inputs import KINDS, Kind
 
 # The columns of the tip in a log.
 TIP_COLUMNS = ["tip_x_m", "tip_y_m", "tip_z_m"]
@@ -59,14 +59,10 @@ class Recording:
     pulls: np.ndarray | None = None
 
     @property
-    def inputs(self) -> Inputs:
-        """All that drove it, (T, actuators) each."""
-        return Inputs(**{kind.name: getattr(self, kind.name) for kind in KINDS})
-
-    @property
     def driven_by(self) -> list[tuple[Kind, np.ndarray]]:
         """The inputs that it has, with their kinds."""
-        return [(kind, x) for kind, x in zip(KINDS, self.inputs, strict=True) if x is not None]
+        given = [(kind, getattr(self, kind.name)) for kind in KINDS]
+        return [(kind, values) for kind, values in given if values is not None]
 
     @property
     def has_inputs(self) -> bool:
@@ -131,7 +127,7 @@ def write_log(
     Raises `OSError` if the file cannot be written, which then stays as it was.
     """
     header, columns = ["t_s"], [np.reshape(times, (-1, 1))]
-    for kind, values in zip(KINDS, Inputs(tensions, pressures, pulls), strict=True):
+    for kind, values in zip(KINDS, (tensions, pressures, pulls), strict=True):
         if values is not None:
             header += [kind.column.format(i + 1) for i in range(np.shape(values)[1])]
             columns.append(values)
