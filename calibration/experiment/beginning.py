@@ -127,7 +127,7 @@ def _linear_deflection(scene: sr.Scene, recording: Recording) -> Float[np.ndarra
         moment = moment - thrust @ offsets
     if tendons is not None and recording.pulls is not None:
         # What the other loads turn the tip by, and lengthen the rod.
-        turn = (weight[:2] * L**3 / 6 + tip[:2] * L**2 / 2 + moment * L) / EI[::-1]
+        turn = (weight[:2] * L**2 / 6 + tip[:2] * L**2 / 2 + moment * L) / EI[::-1]
         longer = (weight[2] / 2 + tip[2]) * L / EA
         offsets = np.asarray(tendons.offsets)[list(by_length)]
         needed = np.asarray(recording.pulls[0]) - offsets @ turn + longer
