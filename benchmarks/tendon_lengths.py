@@ -255,8 +255,9 @@ def release(*_):
         tips.append(np.asarray(motion.tip_positions)[:: round(1e-3 / dt)])
         slack = np.asarray(motion.tensions)[:, 0] == 0
         print(
-            f"release, {dt * 1e3:g} ms: code {motion.result}; {balance(at, held, motion)}; slack in "
-            f"{np.mean(slack):.0%} of the time, caught {np.sum(slack[:-1] & ~slack[1:])} times"
+            f"release, {dt * 1e3:g} ms: code {motion.result}; {balance(at, held, motion)}; "
+            f"slack in {np.mean(slack):.0%} of the time, caught "
+            f"{np.sum(slack[:-1] & ~slack[1:])} times"
         )
     print(f"  a quarter of the step moves the tip by {np.abs(tips[0] - tips[1]).max():.1e} m")
 

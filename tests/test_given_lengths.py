@@ -109,7 +109,7 @@ def test_pull_and_tension_are_inverse_to_each_other(there_and_back):
 
 
 def test_a_tendon_that_ends_later_bends_both_segments():
-    """Where nothing else acts, a tension tau bends each by tau r / EI; held, the first bends less."""
+    """Where it acts alone, a tension tau bends each by tau r / EI; held, the first bends less."""
     tendons = dataclasses.replace(TWO.tendons, control="length")
     scene = dataclasses.replace(TWO, gravity=None, tendons=tendons)
     free = sr.solve_static(scene, pulls=[-0.01, -0.01, 3e-3, -0.01])

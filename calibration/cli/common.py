@@ -6,6 +6,7 @@ import math
 import os
 import sys
 from pathlib import Path
+from typing import Any
 
 # More are a typing error.
 _MOST_INTERVALS = 10_000
@@ -122,51 +123,61 @@ def reason(code, moving: bool = False) -> str:
 
 
 def add_actuation(parser: argparse.ArgumentParser) -> None:
-    """The options --tension and --pressure."""
-    parser.add_argument(
-        "--tension",
-        type=number,
-        nargs="+",
-        metavar="T",
-        help="tension of each tendon [N], at least 0; without it the tendons are slack",
-    )
-    parser.add_argument(
-        "--pressure",
-        type=number,
-        nargs="+",
-        metavar="P",
-        help="gauge pressure of each chamber [Pa]; without it there is none",
-    )
+    """The options --tension, --pressure and --pull."""
+    helps = {
+        "tension": "tension of each tendon [N], at least 0; without it the tendons are slack",
+        "pressure": "gauge pressure of each chamber [Pa]; without it there is none",
+        "pull": "by how much each tendon that is driven by its length is shortened [m]; 0 without",
+    }
+    for name, letter in zip(helps, "TPD", strict=True):
+        parser.add_argument(f"--{name}", type=number, nargs="+", metavar=letter, help=helps[name])
 
 
-def actuation(args, scene):
-    """The tensions and pressures of the command line as arrays (n,), None where not given.
+def given_inputs(args) -> list[str]:
+    """Those of the options of `add_actuation` that are on the command line."""
+    from softrod_jax.scene.inputs import KINDS
 
-    Raises `UsageError` unless there is one per tendon and chamber, and for negative tensions.
+    return [f"--{kind.one}" for kind in KINDS if getattr(args, kind.one) is not None]
+
+
+def actuation(args, scene) -> Any:
+    """The `Inputs` of the command line as arrays (n,), None where not given. Tendons that are
+    driven by their length are there at pull 0, too.
+
+    Raises `UsageError` unless there is one for each actuator, and for negative tensions.
     """
-    tendons = 0 if scene.tendons is None else scene.tendons.count
-    chambers = 0 if scene.chambers is None else scene.chambers.count
-    tensions = _one_each("--tension", args.tension, tendons, "tendon")
-    pressures = _one_each("--pressure", args.pressure, chambers, "chamber")
-    if tensions is not None and tensions.min() < 0:
-        raise UsageError(
-            f"--tension {' '.join(f'{t:g}' for t in args.tension)}: a tendon can only pull; "
-            "every tension is at least 0"
-        )
-    return tensions, pressures
-
-
-def _one_each(option, values, count, part):
     import numpy as np
 
-    if values is None:
-        return None
+    from softrod_jax.scene.inputs import KINDS, Inputs
+
+    found = {}
+    for kind in KINDS:
+        values, count = getattr(args, kind.one), kind.count(scene)
+        if values is not None:
+            found[kind.name] = _one_each(kind, values, count, scene)
+        elif kind.control == "length" and count:
+            found[kind.name] = np.zeros(count)
+    return Inputs(**found)
+
+
+def _one_each(kind, values, count, scene):
+    import numpy as np
+
+    option, of = f"--{kind.one}", kind.of(scene)
+    one = of.replace(kind.part, kind.part.removesuffix("s"))
+    if not count:
+        add = f"[[{kind.part}]] to the file"
+        add += f' with control = "{kind.control}"' if of != kind.part else ""
+        raise UsageError(f"{option}: the scene has no {of}; leave it out, or add {add}")
     if len(values) != count:
         raise UsageError(
-            f"{option}: {len(values)} given, and the scene has {count} {part}{'s'[: count != 1]}; "
-            f"give one number per {part}"
-            if count
-            else f"{option}: the scene has no {part}s; leave it out, or add [[{part}s]] to the file"
+            f"{option}: {len(values)} given, and the scene has {count} "
+            f"{one if count == 1 else of}; give one number per {one}"
+        )
+    if min(values) < kind.at_least:
+        raise UsageError(
+            f"{option} {' '.join(f'{x:g}' for x in values)}: {kind.reason}; every {kind.one} is at "
+            f"least {kind.at_least:g}"
         )
     return np.array(values)
 

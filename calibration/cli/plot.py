@@ -1,7 +1,7 @@
 """Draw a log, a rod at rest, or a rod that moves under the inputs of a log.
 
   softrod plot LOG.csv              the tip and the inputs against time, the path of the tip
-  softrod plot SCENE.toml           the equilibrium under --tension and --pressure, in 3D
+  softrod plot SCENE.toml           the equilibrium under --tension, --pressure and --pull, in 3D
   softrod plot SCENE.toml LOG.csv   simulates the inputs of the log, and draws the rod in 3D beside
                                     the simulated tip and the log's; with --out FILE.gif or
                                     FILE.html, a film
@@ -19,6 +19,7 @@ from calibration.cli.common import (
     add_actuation,
     add_grid,
     check_writable,
+    given_inputs,
     grid,
     note,
     positive,
@@ -115,7 +116,7 @@ def _check_options(args, scene_path, log_path, out, kind) -> None:
             f"--out {out}: a film needs the scene and a log: softrod plot SCENE.toml LOG.csv; or "
             f"draw a picture, {Path(out).stem}.png"
         )
-    inputs = {"--tension": args.tension, "--pressure": args.pressure}
+    inputs = dict.fromkeys(given_inputs(args), True)
     steps = {
         "--dt": args.dt,
         "--from-static": args.from_static or None,
@@ -139,13 +140,13 @@ def _draw_equilibrium(args, scene, out) -> int:
     import softrod_jax as sr
     from softrod_jax.pictures import picture
 
-    tensions, pressures = actuation(args, scene)
-    solution = sr.solve_static(scene, tensions, pressures, throw=False, **grid(args))
+    inputs = actuation(args, scene)
+    solution = sr.solve_static(scene, *inputs, throw=False, **grid(args))
     if int(solution.result) != 0:
         return _failed(reason(solution.result))
     if not bool(solution.stats["stable"]):
         note(UNSTABLE)
-    _save(picture(scene, solution, tensions, pressures), out)
+    _save(picture(scene, solution, _shown(inputs, solution.tensions), inputs.pressures), out)
     return _written(out)
 
 
@@ -169,12 +170,13 @@ def _draw_motion(args, scene, log_path, out, kind) -> int:
         return _failed(f"step {step}, from {step * args.dt:g} s: {motion.reason}")
     _compare(args, log, trajectory, float(scene.length))
     if kind in _FILMS:
+        tensions = _shown(motion.inputs, trajectory.tensions)
         animate(
             scene,
             trajectory,
             out,
-            None if motion.tensions is None else motion.tensions[1:],
-            None if motion.pressures is None else motion.pressures[1:],
+            None if tensions is None else tensions[1:],
+            None if motion.inputs.pressures is None else motion.inputs.pressures[1:],
             speed=args.speed or 1.0,
             fps=args.fps or 25.0,
             measured_tip=log.tip_positions,
@@ -182,6 +184,11 @@ def _draw_motion(args, scene, log_path, out, kind) -> int:
     else:
         _save(log_figure(log, scene, trajectory), out)
     return _written(out)
+
+
+def _shown(inputs, tensions):
+    """The tensions of all tendons, where anything drives them."""
+    return None if inputs.tensions is None and inputs.pulls is None else tensions
 
 
 def _compare(args, log, trajectory, length) -> None:

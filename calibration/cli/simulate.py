@@ -16,6 +16,7 @@ from calibration.cli.common import (
     add_actuation,
     add_grid,
     check_writable,
+    given_inputs,
     grid,
     note,
     positive,
@@ -82,14 +83,14 @@ def _solver_options(args) -> dict:
 
 
 class Simulated(NamedTuple):
-    """Inputs as of `_inputs`, and the `Trajectory`: None without an equilibrium to start from.
+    """Steps and inputs as of `_inputs`, and the `Trajectory`: None without an equilibrium to start
+    from.
 
     `reason`: "successful", or why not.
     """
 
     steps: int
-    tensions: Any
-    pressures: Any
+    inputs: Any
     trajectory: Any
     reason: str
 
@@ -99,28 +100,26 @@ def simulated(args, scene) -> Simulated:
     import softrod_jax as sr
 
     options = _solver_options(args)
-    steps, tensions, pressures = _inputs(args, scene)
+    steps, inputs = _inputs(args, scene)
     initial = None
     if args.from_static:
-        first = _row(tensions, 0), _row(pressures, 0)
-        initial = sr.solve_static(scene, *first, throw=False, **grid(args))
+        initial = sr.solve_static(scene, *_rows(inputs, 0), throw=False, **grid(args))
         if int(initial.result) != 0:
             why = f"--from-static: {reason(initial.result)}"
-            return Simulated(steps, tensions, pressures, None, why)
+            return Simulated(steps, inputs, None, why)
         if not bool(initial.stats["stable"]):
             note(f"--from-static: {UNSTABLE}")
         # The motion goes on where the equilibrium was found.
         options["method"] = initial.method
     trajectory = sr.simulate(
         scene,
-        tensions=_row(tensions, slice(1, None)),
-        pressures=_row(pressures, slice(1, None)),
+        **_rows(inputs, slice(1, None))._asdict(),
         steps=steps,
         initial=initial,
         throw=False,
         **options,
     )
-    return Simulated(steps, tensions, pressures, trajectory, reason(trajectory.result, moving=True))
+    return Simulated(steps, inputs, trajectory, reason(trajectory.result, moving=True))
 
 
 def run(args) -> int:
@@ -133,9 +132,9 @@ def run(args) -> int:
 
     scene = sr.load_scene(args.scene)
     motion = simulated(args, scene)
-    steps, tensions, pressures, traj = motion.steps, *motion[1:4]
+    steps, traj = motion.steps, motion.trajectory
     if traj is None:
-        return _report(args, motion.reason, [0.0], [None], 0, 0, None)
+        return _report(args, motion.reason, [0.0], [None], 0, 0, None, None)
     succeeded = int(traj.result) == 0
     failed_step = None if succeeded else int(traj.failed_step)
     tips = np.array(traj.tip_positions)
@@ -146,7 +145,7 @@ def run(args) -> int:
         tracks = {name: np.array(traj.markers[name].positions) for name in names}
         for track in tracks.values():
             track[np.isnan(tips).any(axis=1)] = np.nan
-        _write(args.out, scene, np.asarray(traj.ts), tensions, pressures, tips, tracks)
+        _write(args.out, scene, np.asarray(traj.ts), motion.inputs, tips, tracks)
     rows = [None if np.isnan(tip).any() else tip.tolist() for tip in tips]
     error = float(traj.stats["time_error"][-1])
     if succeeded and error > _LARGE_ERROR:
@@ -154,26 +153,34 @@ def run(args) -> int:
             f"the tip's error is estimated at {error:.2g} lengths of the rod: take a smaller --dt, "
             "or give a --tolerance"
         )
-    return _report(args, motion.reason, traj.ts.tolist(), rows, steps, failed_step, error)
+    tensions = None
+    if motion.inputs.pulls is not None:
+        known = zip(rows, np.asarray(traj.tensions).tolist(), strict=True)
+        tensions = [None if tip is None else values for tip, values in known]
+    ts = traj.ts.tolist()
+    return _report(args, motion.reason, ts, rows, steps, failed_step, error, tensions)
 
 
-def _inputs(args, scene):
-    """Number of steps, tensions (steps + 1, tendons) and pressures (steps + 1, chambers).
+def _inputs(args, scene) -> tuple[int, Any]:
+    """Number of steps, and the inputs, (steps + 1, actuators) each.
 
     Row 0 is at t = 0, row k at the end of step k; None where the scene has none or nothing is
     given.
     """
     import numpy as np
 
+    from softrod_jax.scene.inputs import Inputs
+
     if args.log is None:
         if args.duration is None:
             raise UsageError("--duration is needed (only a --log has one of its own)")
         steps = _whole_steps(args, args.duration)
-        return steps, *(
-            None if x is None else np.tile(x, (steps + 1, 1)) for x in actuation(args, scene)
+        given = actuation(args, scene)
+        return steps, Inputs(*(None if x is None else np.tile(x, (steps + 1, 1)) for x in given))
+    if given_inputs(args):
+        raise UsageError(
+            f"--log already gives the inputs: leave {' and '.join(given_inputs(args))} out"
         )
-    if args.tension is not None or args.pressure is not None:
-        raise UsageError("--log already gives the inputs: leave --tension and --pressure out")
     from calibration.data.loading import load_recording
 
     log = load_recording(args.log, scene, need_tip=False)
@@ -187,10 +194,8 @@ def _inputs(args, scene):
     ts = args.dt * np.arange(steps + 1)
     if ts[-1] > clock[-1] + 0.5 * args.dt:
         note(f"the log ends after {clock[-1]:g} s; its last inputs are held from there on")
-    return steps, *(
-        None if x is None else np.stack([np.interp(ts, clock, c) for c in x.T], axis=1)
-        for x in (log.tensions, log.pressures)
-    )
+    at_steps = lambda x: np.stack([np.interp(ts, clock, c) for c in x.T], axis=1)
+    return steps, Inputs(**{kind.name: at_steps(values) for kind, values in log.driven_by})
 
 
 def _whole_steps(args, duration: float) -> int:
@@ -232,30 +237,30 @@ def _memory() -> float:
         return math.inf
 
 
-def _row(inputs, index):
-    return None if inputs is None else inputs[index]
+def _rows(inputs, index):
+    return inputs._replace(
+        **{name: x[index] for name, x in inputs._asdict().items() if x is not None}
+    )
 
 
-def _write(path, scene, ts, tensions, pressures, tips, tracks) -> None:
+def _write(path, scene, ts, inputs, tips, tracks) -> None:
     """The motion with the columns of a log of this scene: actuators not used are at zero."""
-    import numpy as np
-
     from calibration.data.recording import write_log
+    from softrod_jax.scene.inputs import filled
 
-    if tensions is None and scene.tendons is not None:
-        tensions = np.zeros((len(ts), scene.tendons.count))
-    if pressures is None and scene.chambers is not None:
-        pressures = np.zeros((len(ts), scene.chambers.count))
-    write_log(path, ts, tensions, pressures, tips, tracks)
+    inputs = filled(scene, inputs, (len(ts),))._asdict()
+    write_log(path, ts, **inputs, tip_positions=tips, markers=tracks)
 
 
-def _report(args, result, ts, tips, steps, failed_step, error) -> int:
+def _report(args, result, ts, tips, steps, failed_step, error, tensions) -> int:
+    """`tensions`: of all tendons, at `ts`, of a scene some of whose follow from pulls."""
     if args.json:
         print_json(
             {
                 "result": result,
                 "t_s": ts,
                 "tip_position": tips,
+                **({} if tensions is None else {"tensions": tensions}),
                 "steps": steps,
                 "failed_step": failed_step,
                 "time_error": None if failed_step is not None else error,

@@ -1,4 +1,4 @@
-"""One static equilibrium: the pose of the tip, and of markers, under tensions and pressures.
+"""One static equilibrium: the pose of the tip, and of markers, under its inputs.
 
 Exit status 0 only if the solve converged; otherwise 1, with the reason and null for all poses.
 """
@@ -34,8 +34,7 @@ def run(args) -> int:
     import softrod_jax as sr
 
     scene = sr.load_scene(args.scene)
-    tensions, pressures = actuation(args, scene)
-    sol = sr.solve_static(scene, tensions, pressures, throw=False, **grid(args))
+    sol = sr.solve_static(scene, *actuation(args, scene), throw=False, **grid(args))
     succeeded = int(sol.result) == 0
     names = ["tip", *(marker.name for marker in scene.markers or ())]
     stable = bool(sol.stats["stable"])
@@ -44,6 +43,7 @@ def run(args) -> int:
             "result": reason(sol.result),
             "tip_position": sol.tip_position.tolist() if succeeded else None,
             "tip_quaternion": sol.tip_quaternion.tolist() if succeeded else None,
+            "tensions": sol.tensions.tolist() if succeeded else None,
             "markers": {name: _pose(sol.markers[name], succeeded) for name in names},
             "stable": stable if succeeded else None,
             "error": float(sol.stats["error"]),

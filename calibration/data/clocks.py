@@ -72,9 +72,7 @@ def gaps_of(recording) -> list[tuple[float, float]]:
     gaps = list(recording.gaps)
     known = recording.times[recording.has_tip]
     interval = float(np.median(np.diff(known))) if len(known) > 1 else 0.0
-    for inputs in (recording.tensions, recording.pressures):
-        if inputs is None:
-            continue
+    for _, inputs in recording.driven_by:
         for column in inputs.T:
             whole = float(np.ptp(inputs))
             gaps += find_gaps(recording.times, column, "", whole, interval).open

@@ -6,6 +6,7 @@ from array import array
 from dataclasses import replace
 from os import PathLike
 from pathlib import Path
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -13,34 +14,50 @@ from calibration.data import dates, units
 from calibration.data.cells import CellError, NumberFormat
 from calibration.data.clocks import find_gaps
 from calibration.data.loads import without_noise_below_zero
-from calibration.data.plausible import Source, check_reach
+from calibration.data.plausible import Source, check_pulls, check_reach
 from calibration.data.recording import TIP_COLUMNS, Recording, RecordingError
 from calibration.data.text_files import read_lines
 from calibration.data.unseen import at_zero, base_is_zero
+from softrod_jax.scene.inputs import KINDS, Kind
+
+# Columns that may stand anywhere after the time.
+_ANYWHERE = re.compile(r"pull\d+_")
+
+
+class _Columns(NamedTuple):
+    """Which columns are what: `inputs` by the name of their kind, `tip` none or three of them."""
+
+    inputs: dict[str, list[int]]
+    tip: list[int]
 
 
 def read_log(path: str | PathLike, scene=None, *, need_tip: bool = True) -> Recording:
     """The CSV log in `path`; see `calibration.data.loading.load_recording`.
 
-    Columns, in this order: t_s, tau1_N, tau2_N, .. (a tension per tendon), p1_Pa, .. (a
-    pressure per chamber), tip_x_m, tip_y_m, tip_z_m. An empty cell, `nan` or `NA` is a missing
-    coordinate of the tip; time and inputs must be complete. Places of the scene's markers may
-    follow, NAME_x_m, NAME_y_m, NAME_z_m, and are left unread. Rows in messages are lines of the
-    file, the header being row 1.
+    Columns, in this order: t_s, tau1_N, tau2_N, .. (a tension per tendon that is driven by
+    tension), p1_Pa, .. (a pressure per chamber), tip_x_m, tip_y_m, tip_z_m; and anywhere after the
+    time pull1_m, .. (a pull per tendon that is driven by its length). An empty cell, `nan` or `NA`
+    is a missing coordinate of the tip; time and inputs must be complete. Places of the scene's
+    markers may follow, NAME_x_m, NAME_y_m, NAME_z_m, and are left unread. Rows in messages are
+    lines of the file, the header being row 1.
     """
-    header, tendons, chambers, values, lines = _table(path, scene, need_tip)
-    _check_values(values, header, lines, path)
-    tip, unseen = values[:, 1 + tendons + chambers :], []
+    header, columns, values, lines = _table(path, scene, need_tip)
+    _check_values(values, header, columns.tip, lines, path)
+    inputs: dict[str, Any] = dict.fromkeys(columns.inputs)
+    inputs |= {name: values[:, own] for name, own in columns.inputs.items() if own}
+    tip, unseen = values[:, columns.tip], []
     if scene is not None and tip.shape[1]:
         tip, unseen = at_zero(tip, always=base_is_zero(scene))
     if need_tip and not np.any(np.isfinite(tip)):
         raise RecordingError(f"{path}: columns {', '.join(TIP_COLUMNS)}: every sample is missing")
     where = lambda i, k: f"{path}: row {lines[k]}, column tau{i + 1}_N"
-    tensions, clipped = without_noise_below_zero(list(values[:, 1 : 1 + tendons].T), where)
+    clipped = ()
+    if inputs["tensions"] is not None:
+        tensions, clipped = without_noise_below_zero(list(inputs["tensions"].T), where)
+        inputs["tensions"] = np.stack(tensions, axis=1)
     recording = Recording(
         times=values[:, 0],
-        tensions=np.stack(tensions, axis=1) if tendons else None,
-        pressures=values[:, 1 + tendons : 1 + tendons + chambers] if chambers else None,
+        **inputs,
         tip_positions=tip if tip.shape[1] else np.full((len(values), 3), np.nan),
         name=Path(path).stem,
         source=str(path),
@@ -53,6 +70,7 @@ def read_log(path: str | PathLike, scene=None, *, need_tip: bool = True) -> Reco
         origin="with a mapping, [tip] rest = true or origin",
     )
     check_reach(recording, scene, source)
+    check_pulls(recording, scene, "is it in millimetres?")
     return replace(recording, notes=(*recording.notes, *_gaps(recording)))
 
 
@@ -60,14 +78,9 @@ def _gaps(recording: Recording) -> list[str]:
     """Notes on rows that are missing."""
     times, notes = recording.track[0], []
     interval = float(np.median(np.diff(times))) if len(times) > 1 else 0.0
-    for name, unit, inputs in (
-        ("tau", "N", recording.tensions),
-        ("p", "Pa", recording.pressures),
-    ):
-        if inputs is None:
-            continue
+    for kind, inputs in recording.driven_by:
         for j, column in enumerate(inputs.T):
-            label = f"{name}{j + 1}_{unit}"
+            label = kind.column.format(j + 1)
             notes += find_gaps(
                 recording.times, column, label, float(np.ptp(inputs)), interval
             ).notes
@@ -75,12 +88,11 @@ def _gaps(recording: Recording) -> list[str]:
 
 
 def _table(path, scene, need_tip):
-    """Header, numbers of tendons and chambers, values (T, columns) and each row's line in the
-    file."""
+    """Header, which of its columns are what, values (T, columns), lines of the rows."""
     lines, encoding = read_lines(path)
     reader = csv.reader(lines, strict=True)
     header, values, numbers = None, array("d"), []
-    known, tendons, chambers = 0, 0, 0
+    known, columns = 0, _Columns({}, [])
     missing = NumberFormat()
     try:
         for row in reader:
@@ -90,7 +102,7 @@ def _table(path, scene, need_tip):
             if header is None:
                 header = row
                 known = len(header) - _marker_columns(header, scene)
-                tendons, chambers = _check_header(header[:known], path, scene, need_tip, encoding)
+                columns = _columns(header[:known], path, scene, need_tip, encoding)
                 continue
             if len(row) != len(header):
                 raise RecordingError(
@@ -109,7 +121,7 @@ def _table(path, scene, need_tip):
     if not numbers:
         raise RecordingError(f"{path}: a header and no rows: nothing was recorded")
     table = np.array(values).reshape(len(numbers), len(header))
-    return header[:known], tendons, chambers, table[:, :known], numbers
+    return header[:known], columns, table[:, :known], numbers
 
 
 def _marker_columns(header: list[str], scene) -> int:
@@ -125,45 +137,80 @@ def _marker_columns(header: list[str], scene) -> int:
     return count
 
 
-def _check_header(header, path, scene, need_tip, encoding) -> tuple[int, int]:
-    """The numbers of tension and of pressure columns; anything but the format is an error."""
+def _columns(header, path, scene, need_tip, encoding) -> _Columns:
+    """Which columns are what; anything but the format is an error."""
     for sign, name in ((";", "';'"), ("\t", "tabs")):
         if len(header) == 1 and sign in header[0]:
             raise RecordingError(
                 f"{path}: row 1: cells are separated by {name}, expected commas; a mapping reads it"
             )
-    if scene is None:
-        tendons = sum(name.startswith("tau") for name in header)
-        chambers = sum(name.startswith("p") for name in header)
-        whose = "expected"
-    else:
-        tendons = 0 if scene.tendons is None else scene.tendons.count
-        chambers = 0 if scene.chambers is None else scene.chambers.count
-        whose = f"the scene has {tendons} tendons and {chambers} chambers, so expected"
-    expected = ["t_s"]
-    expected += [f"tau{i + 1}_N" for i in range(tendons)]
-    expected += [f"p{i + 1}_Pa" for i in range(chambers)]
-    if need_tip or any(name.startswith("tip") for name in header):
-        expected += TIP_COLUMNS
-    if header == expected:
-        return tendons, chambers
-    for j, wanted in enumerate(expected):
-        if j >= len(header):
-            problem = f"column {wanted} is missing"
-            break
-        if header[j] != wanted:
-            quantity = wanted.rsplit("_", 1)[0]
-            problem = f"column {j + 1} is {header[j][:60]!r}, expected {wanted!r}"
-            if header[j].rsplit("_", 1)[0] == quantity:
-                problem += f"; convert it to {wanted.rsplit('_', 1)[1]} and rename it"
-            break
-    else:
-        problem = f"column {len(expected) + 1} is {header[len(expected)][:60]!r}, one too many"
+    inputs = {kind.name: _named(kind, _count(kind, header, scene)) for kind in KINDS}
+    tip = TIP_COLUMNS if need_tip or any(name.startswith("tip") for name in header) else []
+    expected = ["t_s", *(name for own in inputs.values() for name in own), *tip]
+    problem = _unlike(header, expected)
+    if problem is None:
+        place = header.index
+        return _Columns({k: [*map(place, own)] for k, own in inputs.items()}, [*map(place, tip)])
+    whose = "expected"
+    if scene is not None:
+        # That nothing is driven by its length is worth no word.
+        said = [k for k in KINDS if inputs[k.name] or k.control != "length"]
+        parts = [f"{len(inputs[kind.name])} {kind.of(scene)}" for kind in said]
+        whose = f"the scene has {', '.join(parts[:-1])} and {parts[-1]}, so expected"
     letters = "" if encoding.startswith("utf") else f"; it is not UTF-8, and was read as {encoding}"
     raise RecordingError(
         f"{path}: row 1: {problem} ({whose} {', '.join(expected)}){letters}; a mapping reads "
         "other tables"
     )
+
+
+def _named(kind: Kind, count: int) -> list[str]:
+    return [kind.column.format(i + 1) for i in range(count)]
+
+
+def _count(kind: Kind, header: list[str], scene) -> int:
+    """How many columns of a kind are expected: those of the scene or, without one, of the log."""
+    if scene is not None:
+        return kind.count(scene)
+    beginning = kind.column.partition("{}")[0]
+    return sum(
+        name.startswith(beginning)
+        # Every pull begins as a pressure does.
+        and not (beginning == "p" and _ANYWHERE.match(name))
+        for name in header
+    )
+
+
+def _unlike(header: list[str], expected: list[str]) -> str | None:
+    """In what a header is not the expected one: the first such column, or none."""
+    placed = [(j, name) for j, name in enumerate(header) if j == 0 or not _ANYWHERE.match(name)]
+    fixed = [name for name in expected if not _ANYWHERE.match(name)]
+    for k, wanted in enumerate(fixed):
+        if k >= len(placed):
+            return f"column {wanted} is missing"
+        j, name = placed[k]
+        if name != wanted:
+            problem = f"column {j + 1} is {name[:60]!r}, expected {wanted!r}"
+            return problem + _other_unit(name, wanted)
+    if len(placed) > len(fixed):
+        j, name = placed[len(fixed)]
+        return f"column {j + 1} is {name[:60]!r}, one too many"
+    free = [(j, name) for j, name in enumerate(header) if j > 0 and _ANYWHERE.match(name)]
+    for wanted in expected:
+        if _ANYWHERE.match(wanted) and wanted not in header:
+            alike = (_other_unit(name, wanted) for _, name in free)
+            return f"column {wanted} is missing" + next(filter(None, alike), "")
+    for j, name in free:
+        if name not in expected or name in header[:j]:
+            return f"column {j + 1} is {name[:60]!r}, one too many"
+    return None
+
+
+def _other_unit(name: str, wanted: str) -> str:
+    """What to do where a column is the wanted quantity in another unit."""
+    quantity, _, unit = wanted.rpartition("_")
+    alike = name.rsplit("_", 1)[0] == quantity
+    return f"; convert it to {unit} and rename it" if alike else ""
 
 
 def _number(text: str, missing: NumberFormat, where: str, column: str) -> float:
@@ -181,9 +228,10 @@ def _number(text: str, missing: NumberFormat, where: str, column: str) -> float:
         raise RecordingError(f"{where}: {shown!r} is not a finite number{hint}") from None
 
 
-def _check_values(values, header, lines, path) -> None:
-    inputs = values[:, : len(header) - (3 if header[-1] == TIP_COLUMNS[-1] else 0)]
-    for k, j in np.argwhere(np.isnan(inputs))[:1]:
+def _check_values(values, header, tip, lines, path) -> None:
+    missing = np.isnan(values)
+    missing[:, tip] = False
+    for k, j in np.argwhere(missing)[:1]:
         raise RecordingError(
             f"{path}: row {lines[k]}, column {header[j]}: missing; time and inputs are needed in "
             "every row (only the tip may be missing): fill it in or delete the row"

@@ -13,7 +13,7 @@
     missing = -9999.0                   # what stands for a sample that was not seen; or [0, -9999]
     origin = [0.0, 12.0, 250.0]         # the clamp in the file's axes and unit; or rest = true:
                                         # put the rest at the beginning at the straight tip
-    [[tensions]]                        # one for each tendon, in the scene's order
+    [[tensions]]                        # one for each tendon driven by tension, as in the scene
     column = "Load cell 1"
     unit = "gf"
     offset = -12.0                      # added first, in the file's unit
@@ -22,6 +22,9 @@
     [[pressures]]
     column = "P"
     unit = "kPa"
+    [[pulls]]                           # one for each tendon that is driven by its length
+    column = "Motor 1"
+    unit = "mm"                         # of an angle in rad: scale = the pulley's radius in m
     [[base_markers]]                    # three or more: the frame is fitted to them
     columns = ["b1.x", "b1.y", "b1.z"]
     position = [0.02, 0.0, 0.0]         # m, where the marker is in the scene's frame
@@ -44,6 +47,7 @@ the file. A sample of the tip at exactly (0, 0, 0) is one that was not seen.
 from dataclasses import replace
 from os import PathLike
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -54,14 +58,14 @@ from calibration.data.frames import axes_matrix, check_one_body, from_base_marke
 from calibration.data.loads import without_noise_below_zero
 from calibration.data.mapped_columns import TimeColumn, check_interval, factor, one_zero
 from calibration.data.mapping_file import Spec, read_toml
-from calibration.data.plausible import Source, check_reach
+from calibration.data.plausible import Source, check_pulls, check_reach
 from calibration.data.recording import Recording, RecordingError
 from calibration.data.table import Table
 from calibration.data.tables import read_table
 from calibration.data.text_tables import TextOptions
 from calibration.data.unseen import at_zero, base_is_zero
+from softrod_jax.scene.inputs import KINDS
 
-_SHORT = {"tensions": "force", "pressures": "pressure"}
 _FILL = "fill it in or delete the row"
 
 
@@ -76,8 +80,8 @@ def read_mapped(path: str | PathLike, mapping: str | PathLike, scene) -> Recordi
     clock = TimeColumn(table, spec.table("time", required=table.interval is None))
     tip, clock_of_tip, notes, known, source = _tip(table, spec, clock, scene)
     inputs = {
-        name: [_input(table, part, kind, clock) for part in spec.tables(name)]
-        for name, kind in _SHORT.items()
+        kind.name: [_input(table, part, kind.quantity, clock) for part in spec.tables(kind.name)]
+        for kind in KINDS
     }
     conditions = spec.table("conditions", required=False).numbers()
     spec.done()
@@ -93,8 +97,7 @@ def read_mapped(path: str | PathLike, mapping: str | PathLike, scene) -> Recordi
     times, merged, columns, clipped = _merged(path, clock_of_tip, tip, inputs)
     recording = Recording(
         times=times,
-        tensions=columns["tensions"],
-        pressures=columns["pressures"],
+        **columns,
         tip_positions=merged,
         name=Path(path).stem,
         source=str(path),
@@ -109,6 +112,7 @@ def read_mapped(path: str | PathLike, mapping: str | PathLike, scene) -> Recordi
     check_reach(
         recording, scene, replace(source, labels=[names.get(t, "") for t in times.tolist()])
     )
+    check_pulls(recording, scene, "check [[pulls]] unit, scale and offset")
     return recording
 
 
@@ -253,14 +257,12 @@ def _input(table: Table, part: Spec, kind: str, clock: TimeColumn):
 
 
 def _check_counts(mapping, inputs, scene) -> None:
-    for name, part in (("tensions", "tendons"), ("pressures", "chambers")):
-        actuators = getattr(scene, part)
-        count = 0 if actuators is None else actuators.count
-        given = len(inputs[name])
+    for kind in KINDS:
+        count, given = kind.count(scene), len(inputs[kind.name])
         if given not in (0, count):
             raise RecordingError(
-                f"{mapping}: {name}: {given} given, and the scene has {count} {part}; one for each "
-                "is needed"
+                f"{mapping}: {kind.name}: {given} given, and the scene has {count} "
+                f"{kind.of(scene)}; one for each is needed"
             )
 
 
@@ -294,7 +296,7 @@ def _merged(path, clock, tip, inputs):
         values, clipped = without_noise_below_zero([x[2] for x in tensions], where)
         tensions = [(x[0], x[1], v) for x, v in zip(tensions, values, strict=True)]
         inputs = {**inputs, "tensions": tensions}
-    columns = {
+    columns: dict[str, Any] = {
         name: np.stack([np.interp(times, x[1], x[2]) for x in parts], axis=1) if parts else None
         for name, parts in inputs.items()
     }

@@ -20,6 +20,8 @@ _ABOUT_ITS_LENGTH = 0.6
 _FIRST = 5  # samples
 # A movement by less than this part of the rod is none.
 _MOVES = 1e-3
+# Nor does a tendon become shorter by so many lengths of the rod.
+_LARGEST_PULL = 3.0
 _USUAL = ("mm", "cm", "m")
 _UNITS = {
     "mm": (1e-3, "millimetres"),
@@ -77,6 +79,18 @@ def check_reach(recording: Recording, scene, source: Source) -> None:
         raise RecordingError(
             f"{where(first)} {what} within {begin if what == 'begins' else farthest:.4g} m of "
             f"the base of a rod {rod.length:g} m long; {_too_near(recording, rod, source, begin)}"
+        )
+
+
+def check_pulls(recording: Recording, scene, remedy: str) -> None:
+    """Refuse pulls by which no tendon of such a rod can become shorter."""
+    if scene is None or recording.pulls is None:
+        return
+    largest = np.max(np.abs(recording.pulls), axis=0, initial=0.0)
+    for i in np.flatnonzero(largest > _LARGEST_PULL * float(scene.length))[:1]:
+        raise RecordingError(
+            f"{recording.source}: pull {i + 1} is up to {largest[i]:.4g} m, and the rod is "
+            f"{float(scene.length):g} m long; {remedy}"
         )
 
 

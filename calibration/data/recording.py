@@ -13,6 +13,7 @@ from os import PathLike
 import numpy as np
 
 from softrod_jax.foundation.whole_files import whole_file
+from softrod_jax.scene.inputs import KINDS, Kind
 
 # The columns of the tip in a log.
 TIP_COLUMNS = ["tip_x_m", "tip_y_m", "tip_z_m"]
@@ -27,7 +28,7 @@ class Recording:
     """One experiment, sampled at `times`.
 
     - `times` [s], (T,), strictly increasing; the recording's own clock.
-    - `tensions` [N], (T, tendons), or None if the recording has none.
+    - `tensions` [N], (T, tendons driven by tension), or None if the recording has none.
     - `pressures` [Pa], (T, chambers), or None if the recording has none.
     - `tip_positions` [m], (T, 3), in the scene's frame; NaN where a coordinate is missing. One that
       is NaN throughout was not measured: a camera sees two.
@@ -39,6 +40,7 @@ class Recording:
       straight; None: told by the tip before it first moves (`calibration.experiment.beginning`).
     - `gaps` [s]: pairs (start, end) in which the inputs are not known, though they were moving: a
       fit uses what comes before (`calibration.data.clocks`).
+    - `pulls` [m], (T, tendons driven by length), or None if the recording has none.
     - `conditions`: values of parameters in which this experiment differs from the scene, by name
       (`calibration.parameters.catalogue`), such as {"payload_mass": 0.052}.
     """
@@ -54,11 +56,18 @@ class Recording:
     starts_hanging: bool | None = None
     conditions: Mapping[str, float] = field(default_factory=dict)
     gaps: tuple[tuple[float, float], ...] = ()
+    pulls: np.ndarray | None = None
+
+    @property
+    def driven_by(self) -> list[tuple[Kind, np.ndarray]]:
+        """The inputs that it has, with their kinds."""
+        given = [(kind, getattr(self, kind.name)) for kind in KINDS]
+        return [(kind, values) for kind, values in given if values is not None]
 
     @property
     def has_inputs(self) -> bool:
-        """Whether tensions or pressures drove it; without, it is a release."""
-        return self.tensions is not None or self.pressures is not None
+        """Whether any inputs drove it; without, it is a release."""
+        return bool(self.driven_by)
 
     @property
     def coordinates(self) -> np.ndarray:
@@ -95,8 +104,7 @@ class Recording:
         return replace(
             self,
             times=self.times[keep],
-            tensions=None if self.tensions is None else self.tensions[keep],
-            pressures=None if self.pressures is None else self.pressures[keep],
+            **{kind.name: values[keep] for kind, values in self.driven_by},
             tip_positions=self.tip_positions[keep],
             gaps=tuple(g for g in self.gaps if g[0] < end and g[1] > start),
         )
@@ -109,21 +117,20 @@ def write_log(
     pressures=None,
     tip_positions=None,
     markers: dict | None = None,
+    pulls=None,
 ) -> None:
     """Write a CSV log that `read_log` reads back bit by bit.
 
-    `times` [s] (T,), `tensions` [N] (T, tendons), `pressures` [Pa] (T, chambers) and
-    `tip_positions` [m] (T, 3), NaN where missing; columns of what is `None` are left out.
-    `markers` [m]: by name, (T, 3) each.
+    `times` [s] (T,), `tensions` [N] (T, tendons driven by tension), `pressures` [Pa] (T, chambers),
+    `pulls` [m] (T, tendons driven by length) and `tip_positions` [m] (T, 3), NaN where missing;
+    columns of what is `None` are left out. `markers` [m]: by name, (T, 3) each.
     Raises `OSError` if the file cannot be written, which then stays as it was.
     """
     header, columns = ["t_s"], [np.reshape(times, (-1, 1))]
-    if tensions is not None:
-        header += [f"tau{i + 1}_N" for i in range(np.shape(tensions)[1])]
-        columns.append(tensions)
-    if pressures is not None:
-        header += [f"p{i + 1}_Pa" for i in range(np.shape(pressures)[1])]
-        columns.append(pressures)
+    for kind, values in zip(KINDS, (tensions, pressures, pulls), strict=True):
+        if values is not None:
+            header += [kind.column.format(i + 1) for i in range(np.shape(values)[1])]
+            columns.append(values)
     if tip_positions is not None:
         header += TIP_COLUMNS
         columns.append(tip_positions)

@@ -16,6 +16,7 @@ from calibration.data.onset import start_position, white_noise
 from calibration.data.recording import Recording
 from calibration.experiment.bulk import bulk
 from calibration.experiment.setup import rotated
+from softrod_jax.scene.tendons import driven_by_length
 
 # A tip this part of the length from the straight rod's may be the straight one's, seen by a marker
 # that is off; from the second on it is certainly not.
@@ -27,14 +28,15 @@ _PART_RESTING, _PART_MOVING = 0.1, 0.25
 _LARGEST = 0.6
 # A deflection below so many standard deviations of the noise, of so many samples, is not seen.
 _SIGMAS, _FEW = 4.0, 20
+# Through the tendons, one by one, to the tensions that hold all their lengths.
+_SWEEPS = 200
 
 
 def hangs(scene: sr.Scene, recording: Recording) -> bool:
     """Whether the rod begins in equilibrium under its loads, and not straight."""
     if recording.starts_hanging is not None:
         return recording.starts_hanging
-    inputs = [x for x in (recording.tensions, recording.pressures) if x is not None]
-    if not inputs or np.count_nonzero(recording.has_tip) < 3:
+    if not recording.has_inputs or np.count_nonzero(recording.has_tip) < 3:
         return False
     start, rests = start_position(recording)
     seen = recording.coordinates
@@ -69,6 +71,26 @@ def beginning(recording: Recording, hanging: bool) -> str:
     return f"straight and at rest, all loads acting from then on{told}"
 
 
+def _holding(
+    tendons, needed: Float[np.ndarray, "pulled"], per_newton: Float[np.ndarray, "pulled pulled"]
+) -> Float[np.ndarray, "pulled"]:
+    """The tensions [N] of the tendons driven by length, none of which pushes.
+
+    `needed` [m]: by how much each is still to become shorter; `per_newton` [m/N]: how much shorter
+    the path of each is under the tension of each.
+    """
+    of_each = lambda values: [0.0 if values is None else values[i] for i in tendons.by_length]
+    before = np.array([0.0 if x is None else float(x) for x in of_each(tendons.pretension)])
+    own = [0.0 if not x else 1 / float(x) for x in of_each(tendons.stiffness)]
+    per_newton = per_newton + np.diag(own)
+    needed = needed + per_newton @ before
+    tension = np.zeros_like(needed)
+    for _ in range(_SWEEPS):
+        for i, row in enumerate(per_newton):
+            tension[i] = max(0.0, tension[i] + (needed[i] - row @ tension) / row[i])
+    return tension
+
+
 def _linear_deflection(scene: sr.Scene, recording: Recording) -> Float[np.ndarray, "3"]:
     """The deflection of the tip [m] under all loads and the first inputs, by linear beam theory, in
     the base frame."""
@@ -91,15 +113,28 @@ def _linear_deflection(scene: sr.Scene, recording: Recording) -> Float[np.ndarra
     if scene.tip_load is not None:
         couple = seen(scene.tip_load.moment, -1)
         tip, moment = tip + seen(scene.tip_load.force, -1), moment + [couple[1], -couple[0]]
-    pulls = []
-    if scene.tendons is not None and recording.tensions is not None:
-        pulls.append((-np.asarray(recording.tensions[0]), scene.tendons.offsets))
-    if scene.chambers is not None and recording.pressures is not None:
-        thrust = np.asarray(recording.pressures[0]) * np.asarray(scene.chambers.areas)
-        pulls.append((thrust, scene.chambers.offsets))
-    for pull, offsets in pulls:
-        tip = tip + [0.0, 0.0, np.sum(pull)]
-        moment = moment - pull @ np.asarray(offsets)
-    # I_y bends towards x, I_x towards y.
+    tendons, chambers = scene.tendons, scene.chambers
+    thrusts = []
+    by_length = () if tendons is None else driven_by_length(tendons)
+    if tendons is not None and recording.tensions is not None:
+        given = [i for i in range(tendons.count) if i not in by_length]
+        thrusts.append((-np.asarray(recording.tensions[0]), np.asarray(tendons.offsets)[given]))
+    if chambers is not None and recording.pressures is not None:
+        thrust = np.asarray(recording.pressures[0]) * np.asarray(chambers.areas)
+        thrusts.append((thrust, np.asarray(chambers.offsets)))
+    for thrust, offsets in thrusts:
+        tip = tip + [0.0, 0.0, np.sum(thrust)]
+        moment = moment - thrust @ offsets
+    if tendons is not None and recording.pulls is not None:
+        # What the other loads turn the tip by, and lengthen the rod.
+        turn = (weight[:2] * L**2 / 6 + tip[:2] * L**2 / 2 + moment * L) / EI[::-1]
+        longer = (weight[2] / 2 + tip[2]) * L / EA
+        offsets = np.asarray(tendons.offsets)[list(by_length)]
+        needed = np.asarray(recording.pulls[0]) - offsets @ turn + longer
+        per_newton = L * (1 / EA + offsets / EI[::-1] @ offsets.T)
+        tension = _holding(tendons, needed, per_newton)
+        tip = tip - [0.0, 0.0, np.sum(tension)]
+        moment = moment + tension @ offsets
+    # I_y bends towards x, I_x towards y, here and above.
     bend = (weight[:2] * L**3 / 8 + tip[:2] * L**3 / 3 + moment * L**2 / 2) / EI[::-1]
     return seen(np.append(bend, (weight[2] / 2 + tip[2]) * L / EA), 1)

@@ -39,7 +39,7 @@ class Drift:
     had changed by `values`, (windows + 1, numbers).
 
     "clock": what it has gained [s], below 0 if it is slow. "tip": how far it is seen to have moved
-    along x, y and z [m]. "inputs": what arrives of tensions and pressures, relative.
+    along x, y and z [m]. "inputs": what arrives of the inputs, relative.
     """
 
     edges: np.ndarray

@@ -9,13 +9,14 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 import softrod_jax as sr
+from softrod_jax.scene.inputs import Inputs
 
 
 class Setup(eqx.Module):
     """What a recording's simulation is made from; a pytree, any number of which can be fitted.
 
     - `scene`: the robot.
-    - `tendon_efficiency` [1], (tendons,): tension that arrives / tension commanded.
+    - `tendon_efficiency` [1], (tendons driven by tension,): tension that arrives / commanded.
     - `release_duration` [s]: how long a hand takes to let go, see `calibration.experiment.release`;
       of recordings without inputs only.
     - `sensor_offset` [m], (3,): the marker seen from the tip, in the tip's own frame.
@@ -63,11 +64,11 @@ class Setup(eqx.Module):
             )
         return scene
 
-    def arriving(self, tensions: Float[Array, "*rows tendons"] | None):
-        """The tensions [N] that reach the robot when `tensions` [N] are commanded."""
-        if tensions is None or self.tendon_efficiency is None:
-            return tensions
-        return tensions * self.tendon_efficiency
+    def arriving(self, inputs: Inputs) -> Inputs:
+        """The inputs that reach the robot when `inputs` are commanded."""
+        if inputs.tensions is None or self.tendon_efficiency is None:
+            return inputs
+        return inputs._replace(tensions=self.tendon_efficiency * jnp.asarray(inputs.tensions))
 
 
 def rotated(h: Float[Array, "*#n 4"], a: Float[Array, "*#n 3"]) -> Float[Array, "*#n 3"]:

@@ -13,6 +13,7 @@ simulated, and a fit goes on from the most promising.
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
+import jax
 import numpy as np
 
 from calibration.experiment.bulk import bulk
@@ -210,8 +211,7 @@ def _slow_release(wider: _Wider, report: Report) -> list[Explanation]:
     problem, batch = wider.best.problem, wider.best.problem.batch
     parameters, _ = catalogue(problem.scene)
     told = _RELEASE in problem.space.parameters.names or _RELEASE in batch.conditions
-    inputs = batch.tensions is not None or batch.pressures is not None
-    if told or inputs or _RELEASE not in parameters:
+    if told or jax.tree.leaves(batch.inputs) or _RELEASE not in parameters:
         return []
     many, x, _ = wider.by([_RELEASE], of_each=[_RELEASE])
     space = many.space

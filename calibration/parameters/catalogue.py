@@ -16,6 +16,7 @@ import numpy as np
 import softrod_jax as sr
 from calibration.experiment.setup import Setup
 from calibration.parameters.scales import AbstractScale, Between, Factor, Shift
+from softrod_jax.scene.inputs import KINDS
 from softrod_jax.scene.placement import outside_sections
 
 
@@ -23,7 +24,8 @@ from softrod_jax.scene.placement import outside_sections
 class Parameter:
     """One number, or several that are scaled together.
 
-    - `find`: the array it is in, in a `Setup`; `index` in that array, None for all of it.
+    - `find`: the array it is in, in a `Setup`; `index` in that array, None for all of it. Or a
+      tuple of numbers, of which some may be None, as tendons have them: all those there are.
     - `make`: puts the array into a setup that has none, at values that change nothing; None if
       the scene must have it.
     - `remedy`: what to add to a scene that lacks it.
@@ -42,10 +44,17 @@ class Parameter:
     def get(self, setup: Setup):
         """The value in `setup`; None if it has none."""
         array = self.find(setup)
+        if isinstance(array, tuple):
+            numbers = [x for x in array if x is not None]
+            return jnp.stack(numbers) if numbers else None
         return array if array is None or self.index is None else array[self.index]
 
     def put(self, setup: Setup, value) -> Setup:
         """The setup with another value."""
+        there = self.find(setup)
+        if isinstance(there, tuple):
+            numbers = iter(value)
+            value = tuple(None if x is None else next(numbers) for x in there)
         if self.index is not None:
             value = self.find(setup).at[self.index].set(value)
         return eqx.tree_at(self.find, setup, value)
@@ -158,14 +167,22 @@ def _of_tendons(scene: sr.Scene) -> list[_Entry]:
     if not count:
         return []
     offsets, inside = _part("tendons", "offsets"), _in_section("tendons")
-    efficiency = lambda setup: setup.tendon_efficiency
-    ones = _maker(efficiency, lambda: jnp.ones(count))
-    number = _numbered(count)
-    return [
-        *_group("tendon_position", "m", offsets, _IN_THE_SECTION, _xy(count), allowed=inside),
-        *_group("tendon_efficiency_each", "1", efficiency, Factor(), number, ones),
-        (None, Parameter("tendon_efficiency", "1", efficiency, make=ones)),
-    ]
+    driven = {kind.name: kind.count(scene) for kind in KINDS}
+    found = _group("tendon_position", "m", offsets, _IN_THE_SECTION, _xy(count), allowed=inside)
+    if by_tension := driven["tensions"]:
+        efficiency = lambda setup: setup.tendon_efficiency
+        ones = _maker(efficiency, lambda: jnp.ones(by_tension))
+        number = _numbered(by_tension)
+        found += _group("tendon_efficiency_each", "1", efficiency, Factor(), number, ones)
+        found.append((None, Parameter("tendon_efficiency", "1", efficiency, make=ones)))
+    if driven["pulls"]:
+        for name, key, unit in (
+            ("tendon_stiffness", "stiffness", "N/m"),
+            ("pretension", "pretension", "N"),
+        ):
+            remedy = f"[[tendons]] {key}"
+            found.append((None, Parameter(name, unit, _part("tendons", key), remedy=remedy)))
+    return found
 
 
 def _of_chambers(scene: sr.Scene) -> list[_Entry]:

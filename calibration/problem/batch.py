@@ -21,6 +21,7 @@ from calibration.experiment.beginning import hangs
 from calibration.experiment.clock import Clock, first_clock
 from calibration.problem.dataset import Dataset
 from calibration.problem.memory import check_memory
+from softrod_jax.scene.inputs import KINDS, Inputs
 
 _PADDING = 16
 
@@ -28,8 +29,8 @@ _PADDING = 16
 class Batch(eqx.Module):
     """Recordings, padded to the same lengths: all of them run through one compiled program.
 
-    - `dt` [s], (recordings,). `tensions` [N], (recordings, steps + 1, tendons), `pressures`
-      [Pa], (recordings, steps + 1, chambers): row 0 at the start, row k + 1 acts in step k.
+    - `dt` [s], (recordings,). `inputs`, (recordings, steps + 1, actuators) each: row 0 at the
+      start, row k + 1 acts in step k.
     - `times` [s], (recordings, samples), from the origin; `tip` [m], (recordings, samples, 3),
       zero where it is not `used`.
     - `hanging`: the rod starts in equilibrium under the first inputs, not straight.
@@ -42,8 +43,7 @@ class Batch(eqx.Module):
     """
 
     dt: Float[Array, "recordings"]
-    tensions: Float[Array, "recordings rows tendons"] | None
-    pressures: Float[Array, "recordings rows chambers"] | None
+    inputs: Inputs
     times: Float[Array, "recordings samples"]
     tip: Float[Array, "recordings samples 3"]
     used: Bool[Array, "recordings samples 3"]
@@ -81,15 +81,10 @@ def make_batch(
     ]
     steps, samples, windows = _sizes(data, clocks, like)
     times, tip, used = _measured(data, clocks, samples)
-    tensions, pressures = (
-        _inputs([getattr(r, name) for r in data.recordings], data.recordings, clocks, steps)
-        for name in ("tensions", "pressures")
-    )
     hanging = np.array([hangs(scene, r) for r in data.recordings])
     batch = Batch(
         dt=jnp.array([c.dt for c in clocks]),
-        tensions=tensions,
-        pressures=pressures,
+        inputs=_inputs(scene, data.recordings, clocks, steps),
         times=jnp.array(times),
         tip=jnp.array(tip),
         used=jnp.array(used),
@@ -172,32 +167,32 @@ def _padded(count: int) -> int:
 
 def _check_inputs(scene, recording):
     where = recording.source or recording.name
-    for name, part, actuators in (
-        ("tensions", "tendons", scene.tendons),
-        ("pressures", "chambers", scene.chambers),
-    ):
-        inputs = getattr(recording, name)
-        count = 0 if actuators is None else actuators.count
-        if inputs is not None and inputs.shape[1] != count:
+    for kind, inputs in recording.driven_by:
+        count = kind.count(scene)
+        if inputs.shape[1] != count:
             raise RecordingError(
-                f"{where}: {inputs.shape[1]} columns of {name}, and the scene has {count} {part}; "
-                "one column each is needed"
+                f"{where}: {inputs.shape[1]} columns of {kind.name}, and the scene has {count} "
+                f"{kind.of(scene)}; one column each is needed"
             )
 
 
-def _inputs(inputs, recordings, clocks, steps):
-    """(recordings, steps + 1, channels): inputs at the start and in each step, from the logs.
+def _inputs(scene, recordings, clocks, steps) -> Inputs:
+    """Inputs at the start and in each step, (recordings, steps + 1, actuators) each, of the logs.
 
-    Between rows of a log inputs change linearly; after its end they stay. None if no recording
-    has any; a recording without has zeros.
+    Between rows of a log inputs change linearly; after its end they stay. A recording without some
+    has zeros. `None`: no recording has any. But a tendon that is driven by its length is one at
+    pull 0, too.
     """
-    channels = next((x.shape[1] for x in inputs if x is not None), None)
-    if channels is None:
-        return None
-    steps_done = np.arange(steps + 1)
-    grid = np.zeros((len(inputs), steps + 1, channels))
-    for i, (x, r, c) in enumerate(zip(inputs, recordings, clocks, strict=True)):
-        if x is not None:
-            at = r.times[0] + c.dt * steps_done
-            grid[i] = np.stack([np.interp(at, r.times, column) for column in x.T], axis=1)
-    return jnp.array(grid)
+    found = {}
+    for kind in KINDS:
+        holds = kind.control == "length" and kind.count(scene) > 0
+        given = [getattr(recording, kind.name) for recording in recordings]
+        if all(x is None for x in given) and not holds:
+            continue
+        grid = np.zeros((len(given), steps + 1, kind.count(scene)))
+        for i, (x, r, c) in enumerate(zip(given, recordings, clocks, strict=True)):
+            if x is not None:
+                at = r.times[0] + c.dt * np.arange(steps + 1)
+                grid[i] = np.stack([np.interp(at, r.times, column) for column in x.T], axis=1)
+        found[kind.name] = jnp.array(grid)
+    return Inputs(**found)

@@ -39,25 +39,27 @@ class Motion(eqx.Module):
 def simulate_motion(setup: Setup, batch: Batch, scheme, method) -> Motion:
     """The motion of one recording of the batch (its arrays without the leading axis)."""
     scene = setup.simulated_scene()
-    tensions, pressures = setup.arriving(batch.tensions), batch.pressures
+    inputs = setup.arriving(batch.inputs)
     initial, start_result = None, jnp.zeros((), jnp.int32)
     if batch.any_hanging:
-        first = [None if x is None else x[0] for x in (tensions, pressures)]
+        first = jax.tree.map(lambda x: x[0], inputs)
         initial = sr.solve_static(scene, *first, method=method, throw=False)
         start_result = jnp.where(batch.hanging, initial.result, 0)
         strain = jnp.where(batch.hanging, initial.point_strains, _rest_strain(scene))
+        tensions = jnp.where(batch.hanging, initial.tensions, 0.0)
         initial = eqx.tree_at(
-            lambda i: (i.point_strains, i.result), initial, (strain, start_result)
+            lambda i: (i.point_strains, i.tensions, i.result),
+            initial,
+            (strain, tensions, start_result),
         )
-    after_start = lambda x: None if x is None else x[1:]
-    tensions, pressures = after_start(tensions), after_start(pressures)
-    if setup.release_duration is not None and tensions is None and pressures is None:
-        scene, tensions = with_supporting_hand(scene, setup.release_duration, batch.dt, batch.steps)
+    inputs = jax.tree.map(lambda x: x[1:], inputs)
+    if setup.release_duration is not None and not jax.tree.leaves(inputs):
+        scene, tension = with_supporting_hand(scene, setup.release_duration, batch.dt, batch.steps)
+        inputs = inputs._replace(tensions=tension)
     trajectory = sr.simulate(
         scene,
         batch.dt,
-        tensions,
-        pressures,
+        *inputs,
         steps=batch.steps,
         initial=initial,
         scheme=scheme,
@@ -80,8 +82,8 @@ def simulate_motion(setup: Setup, batch: Batch, scheme, method) -> Motion:
 def driven(batch: Batch, drifted: Float[Array, "windows"]) -> Batch:
     """The recording with its inputs as they arrive, `drifted` by so much in each window."""
     arriving = 1.0 + batch.ramps["inputs"] @ drifted
-    inputs = lambda b: [x for x in (b.tensions, b.pressures) if x is not None]
-    return eqx.tree_at(inputs, batch, [arriving[:, None] * x for x in inputs(batch)])
+    inputs = jax.tree.map(lambda x: arriving[:, None] * x, batch.inputs)
+    return eqx.tree_at(lambda b: b.inputs, batch, inputs)
 
 
 def _rest_strain(scene):

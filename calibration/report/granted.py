@@ -18,15 +18,21 @@ def taken_for_granted(fit: Fit) -> list[str]:
         found.append(f"payload {float(scene.payload.mass):.4g} kg")
     if scene.gravity is not None and not any(n.startswith("gravity_tilt") for n in fitted):
         found.append(f"gravity {float(np.linalg.norm(scene.gravity)):.4g} m/s^2 and its direction")
+    places = ("tendon_offset", "tendon_position")
+    driven = _given(fit, "tensions") or _given(fit, "pulls")
+    if driven and not any(n.startswith(places) for n in fitted):
+        found.append("the tendons' places")
     if _given(fit, "tensions"):
-        if not any(n.startswith(("tendon_offset", "tendon_position")) for n in fitted):
-            found.append("the tendons' places")
         if not any(n.startswith("tendon_efficiency") for n in fitted):
             found.append("the tensions")
     if _given(fit, "pressures"):
         if not any(n.startswith("chamber_area") for n in fitted):
             found.append("the chambers' areas")
         found.append("the pressures")
+    if _given(fit, "pulls"):
+        found.append("the pulls")
+        if _stretch(scene) and "tendon_stiffness" not in fitted:
+            found.append("the tendons' stiffness")
     if scene.tip_load is not None:
         found.append("the tip load")
     return found
@@ -42,12 +48,17 @@ def scale_of_forces(fit: Fit) -> str:
     if not names or "density" in {e.name for e in fit.parameters.values()}:
         return ""
     scene, those = fit.scene, ", ".join(names)
+    fitted = {e.name for e in fit.parameters.values()}
     others = [
         what
         for there, what in (
             (scene.payload is not None, "payload"),
             (_given(fit, "tensions"), "tensions"),
             (_given(fit, "pressures"), "pressures"),
+            (
+                _given(fit, "pulls") and _stretch(scene) and "tendon_stiffness" not in fitted,
+                "the tendons' stiffness",
+            ),
             (scene.tip_load is not None, "tip load"),
         )
         if there
@@ -61,6 +72,11 @@ def scale_of_forces(fit: Fit) -> str:
         f"{those}: in proportion to density, {', '.join(others)} together, which were taken for "
         "granted. If all of these are 10 % too large, so are they, whatever their intervals say."
     )
+
+
+def _stretch(scene) -> bool:
+    """Whether any tendons that are driven by their length do."""
+    return scene.tendons is not None and any(x is not None for x in scene.tendons.stiffness or ())
 
 
 def _given(fit: Fit, inputs: str) -> bool:

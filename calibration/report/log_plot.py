@@ -15,22 +15,16 @@ def log_figure(recording: Recording, scene=None, trajectory=None) -> Figure:
     With a `scene` and the `trajectory` simulated from the log's inputs, the rod is drawn at some
     moments instead, and the simulated tip over the log's, on the log's clock.
     """
-    inputs = [
-        (name, unit, size * values)
-        for name, unit, values, size in (
-            ("tension", "N", recording.tensions, 1.0),
-            ("pressure", "kPa", recording.pressures, 1e-3),
-        )
-        if values is not None
-    ]
+    inputs = recording.driven_by
     figure = Figure(figsize=(10, 4.6 + 0.7 * len(inputs)))
     place = {"left": 0.62, "right": 0.95, "top": 0.94, "bottom": 0.09, "hspace": 0.25}
     rows = figure.subplots(3 + len(inputs), 1, sharex=True, gridspec_kw=place)
     _draw_tip(rows[:3], recording, trajectory)
-    for row, (name, unit, values) in zip(rows[3:], inputs, strict=True):
+    for row, (kind, values) in zip(rows[3:], inputs, strict=True):
+        unit, size = kind.shown
         for j, column in enumerate(values.T):
-            row.plot(recording.times, column, lw=1, label=f"{j + 1}")
-        row.set_ylabel(f"{name} [{unit}]")
+            row.plot(recording.times, size * column, lw=1, label=f"{j + 1}")
+        row.set_ylabel(f"{kind.one} [{unit}]")
         if values.shape[1] > 1:
             row.legend(fontsize=7, loc="center left", bbox_to_anchor=(1, 0.5), frameon=False)
     for row in rows:

@@ -59,13 +59,10 @@ def write_data_plot(recordings: Sequence[Recording], window, path: Path) -> Path
 def data_axes(inputs, tip, recording: Recording, window) -> None:
     """One recording: its inputs, and the three coordinates of its tip with the part in use."""
     t = recording.times
-    for name, values, size in (
-        ("tension", recording.tensions, 1.0),
-        ("pressure", recording.pressures, 1e-3),
-    ):
-        for j, column in enumerate(() if values is None else values.T):
-            unit = "N" if name == "tension" else "kPa"
-            inputs.plot(t, size * column, lw=1, label=f"{name} {j + 1} [{unit}]")
+    for kind, values in recording.driven_by:
+        unit, size = kind.shown
+        for j, column in enumerate(values.T):
+            inputs.plot(t, size * column, lw=1, label=f"{kind.one} {j + 1} [{unit}]")
     if inputs.lines:
         inputs.legend(fontsize=7)
     else:

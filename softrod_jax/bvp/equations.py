@@ -216,7 +216,7 @@ class Equations(NamedTuple):
         The last entry, in the place of the gaps, has the multipliers of the others.
         """
         F = self.residual(U)
-        if tight is None or F.gaps is None:
+        if tight is None or F.gaps is None or F.multipliers is None:
             return F
         return F._replace(gaps=jnp.where(tight, F.gaps, F.multipliers), multipliers=None)
 

@@ -20,6 +20,7 @@ from softrod_jax.bvp.collocation import Collocation
 from softrod_jax.bvp.method import AbstractMethod
 from softrod_jax.foundation.results import RESULTS, result_message
 from softrod_jax.learning.stepping import Action, RodState, Stepper
+from softrod_jax.scene.inputs import KINDS
 from softrod_jax.scene.robots import hybrid_robot
 from softrod_jax.scene.scene import Scene
 from softrod_jax.statics import solve_static
@@ -38,13 +39,14 @@ class ReachEnv(gymnasium.Env):
 
     - `scene`: with tendons or chambers; the hanging `hybrid_robot` if `None`.
     - `dt` [s]: the length of a step. `max_steps`: after so many an episode is truncated.
-    - `tension_limit` [N] and `pressure_limit` [Pa]: of each actuator.
+    - `tension_limit` [N], `pressure_limit` [Pa] and `pull_limit` [m]: of each actuator.
     - `scheme`, `method`: as in `simulate`; the defaults are fast rather than accurate.
 
-    Actions, in [-1, 1], are tensions and pressures from zero to their limits, reached at the
-    end of the step; values outside are clipped. Observed are, in this order, the tip's position
-    and velocity and the target's position, in lengths of the rod (and second), and the action
-    now in force. That is not the whole state of a rod, which has many modes.
+    Actions, in [-1, 1], are tensions, pressures and pulls, in this order, from zero to their
+    limits, reached at the end of the step; values outside are clipped. Observed are, in this
+    order, the tip's position and velocity and the target's position, in lengths of the rod (and
+    second), and the action now in force. That is not the whole state of a rod, which has many
+    modes.
 
     An episode begins in the equilibrium without actuation. The target is the tip in the
     equilibrium under a random action, so that it can be reached and held. The reward of a step
@@ -68,24 +70,25 @@ class ReachEnv(gymnasium.Env):
         max_steps: int = 50,
         tension_limit: float = 0.2,
         pressure_limit: float = 2e4,
+        pull_limit: float = 4e-3,
         scheme: AbstractTimeScheme = BDFAlpha(),  # noqa: B008
         method: AbstractMethod = Collocation(6, order=6),  # noqa: B008
         render_mode: str | None = None,
     ):
         if render_mode is not None:
             raise ValueError(f"ReachEnv: render_mode={render_mode!r}; it draws nothing, use None")
-        for name, limit in (("tension_limit", tension_limit), ("pressure_limit", pressure_limit)):
+        limits = (tension_limit, pressure_limit, pull_limit)
+        for kind, limit in zip(KINDS, limits, strict=True):
             if not 0 < limit < np.inf:
-                raise ValueError(f"ReachEnv: {name}={limit}; a positive number is needed")
+                raise ValueError(f"ReachEnv: {kind.one}_limit={limit}; a positive number is needed")
         if scene is None:
             scene = hybrid_robot(gravity=jnp.array([0.0, 0.0, 9.81]))
         self.stepper = Stepper(scene, dt, scheme=scheme, method=method)
         self.render_mode, self.max_steps = None, max_steps
-        count = lambda part: 0 if part is None else part.count
-        self._tendons, chambers = count(scene.tendons), count(scene.chambers)
-        if self._tendons + chambers == 0:
+        counts = [kind.count(scene) for kind in KINDS]
+        if sum(counts) == 0:
             raise ValueError("ReachEnv: the scene has no tendons and no chambers; add actuators")
-        self._limits = np.repeat([tension_limit, pressure_limit], [self._tendons, chambers])
+        self._limits, self._ends = np.repeat(limits, counts), np.cumsum(counts)
         self.action_space = gymnasium.spaces.Box(-1.0, 1.0, self._limits.shape, np.float32)
         sizes = np.array([_REACH, _SPEED, _REACH, 1], np.float32)
         sizes = np.repeat(sizes, [3, 3, 3, self._limits.size])
@@ -102,7 +105,7 @@ class ReachEnv(gymnasium.Env):
         if self._fresh is None:
             rest = self._action(-np.ones(self._limits.shape))
             initial = solve_static(self.stepper.scene, *rest, method=self.stepper.method)
-            self._fresh = self.stepper.reset(initial, Action(*rest))
+            self._fresh = self.stepper.reset(initial, rest)
         self._state, self._steps = self._fresh, 0
         self._last = -np.ones(self._limits.shape)
         target = (options or {}).get("target")
@@ -120,16 +123,16 @@ class ReachEnv(gymnasium.Env):
             raise ValueError(
                 f"ReachEnv.step: action has shape {action.shape}; {self._limits.shape} is needed"
             )
-        self._state = self.stepper.step(self._state, Action(*self._action(action)))
+        self._state = self.stepper.step(self._state, self._action(action))
         self._steps, self._last = self._steps + 1, action
         observation, info, distance = self._observed(self._state)
         truncated = info["failed"] or self._steps >= self.max_steps
         return observation, -distance, False, truncated, info
 
-    def _action(self, action) -> tuple[np.ndarray | None, np.ndarray | None]:
-        values = 0.5 * (action + 1.0) * self._limits
-        tensions, pressures = values[: self._tendons], values[self._tendons :]
-        return tensions if tensions.size else None, pressures if pressures.size else None
+    def _action(self, action) -> Any:
+        """The `Action` of numbers in [-1, 1]."""
+        parts = np.split(0.5 * (action + 1.0) * self._limits, self._ends[:-1])
+        return Action(*(part if part.size else None for part in parts))
 
     def _random_target(self) -> np.ndarray:
         code = None
@@ -143,7 +146,7 @@ class ReachEnv(gymnasium.Env):
                 return np.asarray(solution.tip_position)
         raise ValueError(
             f"ReachEnv.reset: {_DRAWS} random actions have no equilibrium, the last one: "
-            f"{result_message(code)}; lower tension_limit or pressure_limit"
+            f"{result_message(code)}; lower the limits of its inputs"
         )
 
     def _observed(self, state: RodState):

@@ -95,6 +95,7 @@ class RodLayer(eqx.Module):
         self,
         tensions: Real[Array | np.ndarray, "steps tendons"] | Sequence[ManyLike] | None = None,
         pressures: Real[Array | np.ndarray, "steps chambers"] | Sequence[ManyLike] | None = None,
+        pulls: Real[Array | np.ndarray, "steps pulled"] | Sequence[ManyLike] | None = None,
         *,
         initial: StaticSolution | None = None,
     ) -> RodPath:
@@ -108,6 +109,7 @@ class RodLayer(eqx.Module):
             jax.lax.stop_gradient(self.dt),
             tensions,
             pressures,
+            pulls,
             substeps=self.substeps,
             initial=initial,
             scheme=self.scheme,

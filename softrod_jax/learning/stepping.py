@@ -22,6 +22,7 @@ from softrod_jax.foundation.numbers import ScalarLike
 from softrod_jax.foundation.precision import require_float64
 from softrod_jax.foundation.results import RESULTS, without_derivative
 from softrod_jax.rod.constants import full_strain
+from softrod_jax.rod.given_lengths import tensions_of
 from softrod_jax.rod.reduction import clamp_pose, make_rod
 from softrod_jax.rod.rotations import to_base
 from softrod_jax.rod.validity import usable, usable_in_time
@@ -101,6 +102,7 @@ class RodView(eqx.Module):
     - `time` [s]; `tip_position` [m], (3,), and `tip_velocity` [m/s], (3,), base frame.
     - `positions` [m], (outputs, 3); `quaternions` (w, x, y, z), (outputs, 4).
     - `strains` (v, u) and `velocities` (q, omega), (outputs, 6), body frame.
+    - `tensions` [N], (tendons,): of all tendons, at the end where their actuator is.
     - `result`: a code of `RESULTS`.
     """
 
@@ -111,6 +113,7 @@ class RodView(eqx.Module):
     quaternions: Float[Array, "*steps outputs 4"]
     strains: Float[Array, "*steps outputs 6"]
     velocities: Float[Array, "*steps outputs 6"]
+    tensions: Float[Array, "*steps tendons"]
     result: Int[Array, "*steps"]
 
 
@@ -192,7 +195,7 @@ class Stepper(eqx.Module):
         actions: Action,
         jumps: Bool[Array | np.ndarray, "steps"] | None = None,
     ) -> tuple[RodState, RodView]:
-        """Steps through `actions`, (steps, tendons) and (steps, chambers), one row a step.
+        """Steps through `actions`, (steps, actuators) each, one row a step.
 
         Returns the last state, and what is seen after each step, with a leading axis of steps.
         """
@@ -303,6 +306,7 @@ def _view(stepper, state):
         quaternions=quaternions,
         strains=method.outputs(strains),
         velocities=velocities,
+        tensions=tensions_of(scene, state.action.tensions, state.progress.multipliers),
         result=result,
     )
     return without_derivative(result != RESULTS.successful, view)

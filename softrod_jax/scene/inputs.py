@@ -29,39 +29,85 @@ class Inputs(NamedTuple):
 
 
 class Kind(NamedTuple):
-    """A kind of inputs.
+    """A kind of inputs: all that is said of it anywhere by its name.
 
-    - `name` in `Inputs`; `part`: what of a scene it drives, and `of` that, in the plural, for
-      messages; `unit`; `column`: of a log, with its number instead of "{}".
+    - `name` in `Inputs`; `part`: what of a scene it drives; `control`: of those of that part whose
+      `control` is this word only, where it is one.
+    - `quantity`, `unit`; `column`: of a log, with its number instead of "{}". `shown`: the unit in
+      pictures, and the size of the unit in it.
     - `at_least`: how low it may be, for what `reason`.
     - `is_place`: whether it says where an actuator is, which cannot jump.
     """
 
     name: str
     part: str
-    of: str
+    control: str | None
+    quantity: str
     unit: str
     column: str
+    shown: tuple[str, float]
     at_least: float = -np.inf
     reason: str = ""
     is_place: bool = False
+
+    @property
+    def one(self) -> str:
+        """Its name in the singular."""
+        return self.name.removesuffix("s")
+
+    def of(self, scene: Scene) -> str:
+        """What of a scene it drives, in the plural, for messages."""
+        if self.control is None or (self.control == "tension" and not _any_by_length(scene)):
+            return self.part
+        return f"{self.part} driven by {self.control}"
 
     def count(self, scene: Scene) -> int:
         """How many actuators of a scene it drives."""
         actuators = getattr(scene, self.part)
         if actuators is None:
             return 0
-        if self.part != "tendons":
+        if self.control is None:
             return actuators.count
         by_length = len(driven_by_length(actuators))
-        return by_length if self.name == "pulls" else actuators.count - by_length
+        return by_length if self.control == "length" else actuators.count - by_length
+
+
+def _any_by_length(scene: Scene) -> bool:
+    return scene.tendons is not None and bool(driven_by_length(scene.tendons))
 
 
 # Those of the inputs, in their order.
 KINDS = (
-    Kind("tensions", "tendons", "tendons", "N", "tau{}_N", 0.0, "a tendon can only pull"),
-    Kind("pressures", "chambers", "chambers", "Pa", "p{}_Pa"),
-    Kind("pulls", "tendons", "tendons driven by length", "m", "pull{}_m", is_place=True),
+    Kind(
+        name="tensions",
+        part="tendons",
+        control="tension",
+        quantity="force",
+        unit="N",
+        column="tau{}_N",
+        shown=("N", 1.0),
+        at_least=0.0,
+        reason="a tendon can only pull",
+    ),
+    Kind(
+        name="pressures",
+        part="chambers",
+        control=None,
+        quantity="pressure",
+        unit="Pa",
+        column="p{}_Pa",
+        shown=("kPa", 1e-3),
+    ),
+    Kind(
+        name="pulls",
+        part="tendons",
+        control="length",
+        quantity="length",
+        unit="m",
+        column="pull{}_m",
+        shown=("mm", 1e3),
+        is_place=True,
+    ),
 )
 
 
@@ -78,7 +124,7 @@ def checked_inputs(who: str, scene: Scene, inputs: Inputs, ndim: int) -> Inputs:
 def _checked(who, scene, kind, given, ndim):
     if given is None:
         return None
-    count, name, part = kind.count(scene), kind.name, kind.of
+    count, name, part = kind.count(scene), kind.name, kind.of(scene)
     try:
         values = jnp.asarray(given, dtype=float)
     except (TypeError, ValueError):
@@ -106,9 +152,9 @@ def _checked(who, scene, kind, given, ndim):
 
 def _other_input(scene: Scene, kind: Kind) -> str:
     """What drives a scene's tendons instead, where it has any."""
-    if scene.tendons is None or kind.part != "tendons":
+    if scene.tendons is None or kind.control is None:
         return ""
-    given = "tension" if kind.name == "pulls" else "length"
+    given = "tension" if kind.control == "length" else "length"
     return f' (the scene\'s tendons have control = "{given}")'
 
 

@@ -39,8 +39,10 @@ def asked(monkeypatch):
     """A solver that moves nothing, and what it was asked: tests of the command, not of the rod."""
     asked = SimpleNamespace(static=None, motion=None, static_result=0, failed_step=-1)
 
-    def solve_static(scene, tensions=None, pressures=None, *, throw, **options):
-        asked.static = SimpleNamespace(tensions=tensions, pressures=pressures, **options)
+    def solve_static(scene, tensions=None, pressures=None, pulls=None, *, throw, **options):
+        asked.static = SimpleNamespace(
+            tensions=tensions, pressures=pressures, pulls=pulls, **options
+        )
         stats = {
             "residual": np.array(np.nan),
             "iterations": np.array(3),
@@ -55,6 +57,7 @@ def asked(monkeypatch):
             result=np.array(asked.static_result),
             tip_position=tip.position,
             tip_quaternion=tip.quaternion,
+            tensions=np.zeros(0 if scene.tendons is None else scene.tendons.count),
             markers={"tip": tip},
             stats=stats,
             method=method,
@@ -63,9 +66,11 @@ def asked(monkeypatch):
     def simulate(scene, *, throw, **inputs):
         asked.motion = SimpleNamespace(**inputs)
         ts = inputs["dt"] * np.arange(inputs["steps"] + 1)
+        count = 0 if scene.tendons is None else scene.tendons.count
         return SimpleNamespace(
             ts=ts,
             tip_positions=np.stack([0.01 * ts, 0 * ts, 0.1 + 0 * ts], axis=1),
+            tensions=np.zeros((len(ts), count)),
             result=np.array(0 if asked.failed_step < 0 else 2),
             failed_step=np.array(asked.failed_step),
             stats={"time_error": np.full(inputs["steps"], 1e-5)},

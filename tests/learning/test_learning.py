@@ -66,6 +66,51 @@ def test_steps_are_those_of_simulate(scheme, go):
     assert state.result == 0
 
 
+PULLED = sr.Scene(
+    length=0.1,
+    section=sr.Circle(6e-3),
+    young_modulus=2e5,
+    poisson_ratio=0.45,
+    density=1070.0,
+    bending_damping=1e-5,
+    gravity=jnp.array([-3.0, 0.0, 0.0]),
+    plane="xz",
+    tendons=sr.Tendons(
+        [[4e-3, 0.0], [-4e-3, 0.0], [-4e-3, 0.0]],
+        control=("length", "tension", "length"),
+        stiffness=(200.0, None, None),
+        pretension=(0.05, None, None),
+    ),
+)
+
+
+def test_steps_of_pulls_are_those_of_simulate():
+    """Tensions are seen, and a layer's path is the same."""
+    tensions = np.full((STEPS, 1), 0.05)
+    pulls = 2e-4 * np.stack([np.arange(STEPS), -np.arange(STEPS)], axis=1)
+    held = Action(tensions[0], None, pulls[0])
+    initial = sr.solve_static(PULLED, *held, method=GRID)
+    steps = dict(substeps=1, max_time_error=jnp.inf, initial=initial, **BDF)
+    motion = sr.simulate(PULLED, DT, tensions, None, pulls, **steps)
+    stepper = Stepper(PULLED, DT, **BDF)
+    state = stepper.reset(initial, held)
+    np.testing.assert_allclose(stepper.view(state).tensions, initial.tensions, atol=1e-12)
+    state, seen = stepper.rollout(state, Action(tensions, None, pulls))
+    assert state.result == 0
+    np.testing.assert_allclose(seen.tip_position, motion.tip_positions[1:], atol=1e-12)
+    np.testing.assert_allclose(seen.tensions, motion.tensions[1:], rtol=1e-9, atol=1e-12)
+    np.testing.assert_array_equal(seen.tensions[:, 1], 0.05)
+    assert np.ptp(seen.tensions[:, 0]) > 0.05
+    path = learning.RodLayer(PULLED, DT, **BDF)(tensions, None, pulls, initial=initial)
+    np.testing.assert_allclose(path.tip_positions, motion.tip_positions[1:], atol=1e-12)
+    # An action that says nothing of pulls is one of pull 0.
+    at_zero = stepper.step(stepper.reset(), Action(None, None, np.zeros(2)))
+    nothing = stepper.step(stepper.reset(), Action())
+    np.testing.assert_array_equal(
+        stepper.view(at_zero).tip_position, stepper.view(nothing).tip_position
+    )
+
+
 def test_a_rod_in_equilibrium_stays_there():
     held = Action(jnp.array([0.1, 0.0, 0.0]), jnp.array([1e4]))
     initial = sr.solve_static(SCENE, *held, method=GRID)
@@ -337,6 +382,23 @@ def test_the_environment_checks(recwarn):
         environment.reset(options={"target": (1.0, 2.0)})
     with pytest.raises(ValueError, match="not finite"):
         environment.step(np.full(4, np.nan))
+
+
+def test_an_environment_of_pulls():
+    pytest.importorskip("gymnasium")
+    from softrod_jax.learning.environment import ReachEnv
+
+    environment = ReachEnv(PULLED, dt=DT, max_steps=3, method=GRID, pull_limit=2e-3)
+    environment.reset(seed=0)
+    for action in ([-1.0, -1.0, -1.0], [-1.0, 1.0, -1.0], [0.0, 0.0, -1.0]):
+        _, _, _, _, info = environment.step(np.array(action))
+        assert info["result"] == 0
+    acts = environment._state.action
+    np.testing.assert_allclose(acts.tensions, [0.1])
+    np.testing.assert_allclose(acts.pulls, [1e-3, 0.0])
+    assert acts.pressures is None
+    with pytest.raises(ValueError, match="pull_limit=0"):
+        ReachEnv(PULLED, pull_limit=0)
 
 
 def test_an_episode_whose_solve_fails_is_truncated():

@@ -34,6 +34,7 @@ def test_solve(capsys):
         "result",
         "tip_position",
         "tip_quaternion",
+        "tensions",
         "markers",
         "stable",
         "error",

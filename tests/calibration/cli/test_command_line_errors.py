@@ -109,7 +109,7 @@ def test_directory_without_permission(capsys):
 
 
 def test_errors_while_writing(capsys, asked, monkeypatch):
-    def full(*args):
+    def full(*_, **__):
         raise OSError(28, "No space left on device", "out.csv")
 
     monkeypatch.setattr("calibration.data.recording.write_log", full)

@@ -12,7 +12,7 @@ from command_line import in_a_directory_of_its_own, run  # noqa: F401
 
 import softrod_jax as sr
 from calibration import load_recording, write_log
-from calibration.data.recording import RecordingError
+from calibration.data.recording import Recording, RecordingError
 from calibration.experiment.beginning import _linear_deflection
 from calibration.experiment.bulk import bulk
 from calibration.parameters.catalogue import catalogue
@@ -140,7 +140,7 @@ def test_linear_deflection_of_a_segmented_rod(wrong_types):
         for name in ("young_modulus", "poisson_ratio", "density", "gravity", "tendons")
     }
     whole, both = sr.Scene(0.1, robot.section, **parts), sr.Scene(segments=segments, **parts)
-    recording = type("Inputs", (), {"tensions": np.array([[0.1, 0.0, 0.0]]), "pressures": None})
+    recording = Recording(np.zeros(1), np.array([[0.1, 0.0, 0.0]]), None, np.zeros((1, 3)))
     np.testing.assert_allclose(
         _linear_deflection(both, recording), _linear_deflection(whole, recording), rtol=1e-12
     )

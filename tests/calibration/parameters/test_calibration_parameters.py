@@ -16,6 +16,7 @@ from calibration.parameters.unknowns import choose_unknowns
 from calibration.problem.dataset import datasets
 from calibration.problem.evaluation import predict, reverse_pays
 from calibration.problem.problem import make_problem
+from softrod_jax.scene.inputs import Inputs
 from softrod_jax.scene.scene import as_arrays
 
 CLAMP = np.array([0.9, 0.1, 0.3, -0.2]) / np.linalg.norm([0.9, 0.1, 0.3, -0.2])
@@ -86,10 +87,11 @@ def test_a_setup_turns_gravity_and_clamp():
         rotated(turned.base_quaternion, jnp.array([0.0, 0.0, 1.0])), expected, atol=1e-7
     )
     np.testing.assert_allclose(turned.base_position, [0.1, 0.0, 0.0])
-    tensions = jnp.ones((2, 3))
-    assert setup.arriving(tensions) is tensions
+    inputs = Inputs(jnp.ones((2, 3)), jnp.ones((2, 1)))
+    assert setup.arriving(inputs) is inputs
     weak = Setup(scene, tendon_efficiency=jnp.array([0.5, 1.0, 1.0]))
-    np.testing.assert_allclose(weak.arriving(tensions)[1], [0.5, 1.0, 1.0])
+    np.testing.assert_allclose(weak.arriving(inputs).tensions[1], [0.5, 1.0, 1.0])
+    np.testing.assert_array_equal(weak.arriving(inputs).pressures, inputs.pressures)
 
 
 def problem(scene, names, inputs):
