@@ -25,7 +25,7 @@ from report import machine, publish, table
 from skip import programs_inside
 
 import softrod_jax as sr
-from softrod_jax.bvp.boundary_value import Equations
+from softrod_jax.bvp.equations import Equations
 from softrod_jax.bvp.unloaded import unloaded_guess
 from softrod_jax.foundation.compiling import compiler_options
 from softrod_jax.rod.ode import History, layout_of
@@ -97,8 +97,8 @@ def parts():
     factorise = lambda U, tensions: equations(tensions).factorise(U)
     correct = lambda F, factors, tensions: equations(tensions).correct(factors, F)
     U = equations(tensions).start(guess)
-    noise = jax.random.normal(jax.random.key(0), U.shape)
-    U = U * (1 + 1e-3 * noise)
+    noise = jax.random.normal(jax.random.key(0), U.along.shape)
+    U = U._replace(along=U.along * (1 + 1e-3 * noise))
     F, factors = evaluate(U, tensions), factorise(U, tensions)
     return {
         "evaluation": (evaluate, (U, tensions)),

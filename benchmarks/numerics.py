@@ -19,7 +19,8 @@ from report import machine, publish, table
 import softrod_jax as sr
 from softrod_jax.bvp import newton
 from softrod_jax.bvp.block_sweep import factorise, solve_sweeps
-from softrod_jax.bvp.boundary_value import Equations, search_directly
+from softrod_jax.bvp.boundary_value import search_directly
+from softrod_jax.bvp.equations import Equations
 from softrod_jax.bvp.unloaded import unloaded_guess
 from softrod_jax.rod import constants as rod
 from softrod_jax.rod.ode import History, Layout
@@ -68,8 +69,8 @@ def sweeps() -> str:
         history = History(jnp.array(1 / dt), -guess.strain / dt, jnp.zeros_like(guess.strain))
         equations = Equations(method, layout, moving, history, guess.strain)
         U = equations.start(guess)
-        linear = method.linearise(U, *equations._problem)
-        units = equations.scale(U)[: layout.size]
+        linear = method.linearise(U.along, *equations._problem(U))
+        units = equations.scale(U).along[: layout.size]
         left, right = (np.asarray(B * units / units[:, None]) for B in linear[:2])
         slope = np.zeros((6, layout.base_size))
         exact = dense(left, right, rhs)

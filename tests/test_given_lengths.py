@@ -145,7 +145,9 @@ def of_motions(modulus, pulls):
 
 @pytest.mark.parametrize("function", [of_statics, of_motions])
 def test_derivatives_by_modulus_and_pulls(function):
-    at = jnp.array(5e4), jnp.array([6e-3, 4e-3, -2e-3])
+    # The motion has none near 4e-3: there a tendon of it is about to become taut.
+    second = 4e-3 if function is of_statics else 1e-3
+    at = jnp.array(5e4), jnp.array([6e-3, second, -2e-3])
     function = jax.jit(function)
     forward = jax.jit(jax.jacfwd(function, (0, 1)))(*at)
     reverse = jax.jit(jax.jacrev(function, (0, 1)))(*at)

@@ -9,7 +9,7 @@ from jaxtyping import Array, Bool, Float
 from softrod_jax.bvp.block_sweep import inverse
 
 # A gap below zero by this part of the largest one is a rounding error.
-_ROUNDING = 1e-13
+_ROUNDING = 1e-10
 # What is added to the diagonal where S is inverted, as a part of its largest entry. Several tendons
 # may hold the same (two on one path, four in one section): they share then. Newton's method, whose
 # gaps are exact, converges with it at this rate, or this over how much softer a direction is.

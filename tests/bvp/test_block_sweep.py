@@ -10,7 +10,7 @@ from jax.flatten_util import ravel_pytree
 
 import softrod_jax as sr
 from softrod_jax.bvp.block_sweep import factorise, solve_sweeps
-from softrod_jax.bvp.boundary_value import Equations
+from softrod_jax.bvp.equations import Equations, Unknowns
 from softrod_jax.bvp.unloaded import unloaded_guess
 from softrod_jax.rod.ode import History, layout_of
 from softrod_jax.rod.reduction import make_rod
@@ -52,13 +52,14 @@ def accuracies():
         guess = unloaded_guess(layout, rod)
         history = History(1.5 / dt, -1.5 / dt * guess.strain, jnp.zeros_like(guess.strain))
         equations = Equations(METHOD, layout, rod, history, guess.strain)
-        U, scale = equations.start(guess), equations.scale(equations.start(guess))
+        start = equations.start(guess)
+        U, scale = start.along, equations.scale(start).along
         U = U + 1e-2 * scale * jax.random.normal(jax.random.key(0), U.shape)
         U = U.at[0, : layout.base_size].set(equations.base())
-        F = equations.residual(U)
-        step = equations.correct(equations.factorise(U), F)
+        F = equations.residual(Unknowns(U))
+        step = equations.correct(equations.factorise(Unknowns(U)), F).along
 
-        flat = lambda U: ravel_pytree(equations.residual(U))[0]
+        flat = lambda U: ravel_pytree(equations.residual(Unknowns(U)))[0]
         J = jax.jacfwd(flat)(U).reshape(flat(U).size, -1)[:, layout.base_size :]
         dense = -jnp.linalg.solve(J, flat(U))
         # Both judged by the equations themselves, each in its own size.

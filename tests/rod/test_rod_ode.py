@@ -176,7 +176,7 @@ def test_strains_minimise_the_energy():
 def test_the_viscosity_of_fronts_follows_from_a_potential():
     """tau_i mu |l_t|^3 / (3 c0) for each tendon's path, on top of the energy."""
     plain = make_rod(full_scene(), Inputs(TENSIONS, PRESSURES))
-    grid = uniform_grid(full_scene().length, 5, np.zeros(1))
+    grid = uniform_grid(full_scene().length, 5, np.zeros(1), np.ones(6))
     rod = make_rod(full_scene(), Inputs(TENSIONS, PRESSURES), grid=grid, spread_fronts=True)
     rng = np.random.default_rng(8)
     wrench = jnp.array(rng.normal(size=(20, 6))) * jnp.array([0.05] * 3 + [1e-4] * 3)
