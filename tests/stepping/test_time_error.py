@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import softrod_jax as sr
-from softrod_jax.rod.constants import make_rod
+from softrod_jax.rod.reduction import make_rod
 from softrod_jax.rod.rotations import to_base
 from softrod_jax.scene.scene import as_arrays
 from softrod_jax.stepping.step_control import run_checked
