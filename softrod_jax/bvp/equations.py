@@ -82,15 +82,14 @@ class Border(NamedTuple):
     gaps_by_along: Float[Array, "conditions rows last"]
     conditions: Conditions
 
-    # Products of a few long rows: sums of them are faster here than what matrices have.
     def following(self, x: Float[Array, "conditions"]):
         """How the unknowns along the rod follow the multipliers."""
-        return jnp.sum(x[:, None, None] * self.along, 0)
+        return (x @ _rows(self.along)).reshape(self.along.shape[1:])
 
     def gaps_following(self, along: Float[Array, "rows columns"]):
         """How the gaps follow the unknowns along the rod."""
         last = along[:, -self.gaps_by_along.shape[-1] :]
-        return jnp.sum(self.gaps_by_along * last, (1, 2))
+        return _rows(self.gaps_by_along) @ last.ravel()
 
 
 class Factors(NamedTuple):
@@ -169,21 +168,19 @@ class Equations(NamedTuple):
         x = U.multipliers
         assert x is not None, "a rod with a constraint"
 
-        def change(direction):
-            along = lambda x: self.residual(U._replace(multipliers=x))._replace(gaps=None)
-            return jax.jvp(along, (x,), (direction,))[1]
+        def follow(direction):
+            change = lambda x: self.residual(U._replace(multipliers=x))._replace(gaps=None)
+            return self._correct_along(factors, jax.jvp(change, (x,), (direction,))[1])
 
         eye = jnp.eye(x.shape[0])
         # Several right-hand sides in lockstep take longer than in turn on a CPU.
-        solve = lambda F: self._correct_along(factors, F)
-        along = _each(solve, jax.vmap(change)(eye))
+        along = jax.lax.map(follow, eye) if on_cpu() else jax.vmap(follow)(eye)
         by_along = self._gaps_by_along(U)
         direct = jax.jacfwd(lambda x: self.gaps(U._replace(multipliers=x)))(x)
         if safe is not None:
             along, by_along = jnp.where(safe, along, 0.0), jnp.where(safe, by_along, 0.0)
             direct = jnp.where(safe, direct, eye)
-        rows = lambda a: a.reshape(x.shape[0], -1)
-        S = direct + rows(by_along) @ rows(along[..., -by_along.shape[-1] :]).T
+        S = direct + _rows(by_along) @ _rows(along[..., -by_along.shape[-1] :]).T
         return Border(along, by_along, conditions(S, x > 0))
 
     def _gaps_by_along(self, U: Unknowns) -> Float[Array, "conditions rows last"]:
@@ -290,6 +287,5 @@ class Equations(NamedTuple):
         return tip_condition(Y[-1], self.rod, self.layout, history)
 
 
-def _each(function, rows):
-    """`function` of each row: one after the other on a CPU, else at once."""
-    return jax.lax.map(function, rows) if on_cpu() else jax.vmap(function)(rows)
+def _rows(a):
+    return a.reshape(a.shape[0], -1)
