@@ -93,9 +93,9 @@ class RodLayer(eqx.Module):
 
     def __call__(
         self,
-        tensions: Real[Array | np.ndarray, "steps tendons"] | Sequence[ManyLike] | None = None,
+        tensions: Real[Array | np.ndarray, "steps by_tension"] | Sequence[ManyLike] | None = None,
         pressures: Real[Array | np.ndarray, "steps chambers"] | Sequence[ManyLike] | None = None,
-        pulls: Real[Array | np.ndarray, "steps pulled"] | Sequence[ManyLike] | None = None,
+        pulls: Real[Array | np.ndarray, "steps by_length"] | Sequence[ManyLike] | None = None,
         *,
         initial: StaticSolution | None = None,
     ) -> RodPath:

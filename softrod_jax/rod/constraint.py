@@ -4,8 +4,6 @@ import abc
 from typing import Any
 
 import equinox as eqx
-import jax
-import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 
@@ -25,11 +23,7 @@ class AbstractConstraint(eqx.Module):
     @property
     @abc.abstractmethod
     def loads(self) -> list[Any]:
-        """What rises from zero in a continuation."""
-
-    @abc.abstractmethod
-    def with_loads(self, loads: list[Any]) -> "AbstractConstraint":
-        """The same under other loads."""
+        """The fields that rise from zero in a continuation; `None` for one that is absent."""
 
     @abc.abstractmethod
     def applied(self, rod: Any, multipliers: Float[Array, "conditions"]) -> Any:
@@ -48,6 +42,7 @@ class AbstractConstraint(eqx.Module):
         `weights` [m]: of the integral along the rod.
         """
 
+    @abc.abstractmethod
     def gaps_by_strain(
         self,
         rod: Any,
@@ -55,5 +50,3 @@ class AbstractConstraint(eqx.Module):
         weights: Float[Array, "points"],
     ) -> Float[Array, "conditions points strain"]:
         """The derivative of the gaps by the strains, whatever the multipliers are."""
-        still = jnp.zeros(self.count)
-        return jax.jacrev(lambda strain: self.gaps(rod, strain, still, weights))(strain)

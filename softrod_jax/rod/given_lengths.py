@@ -27,15 +27,16 @@ from softrod_jax.scene.tendons import Tendons, driven_by_length
 class GivenLengths(AbstractConstraint):
     """The tendons `which`, (conditions,), of a rod, by their numbers.
 
-    - `shortening` [m]: by how much each is shorter, without tension, than its path in the unloaded
-      rod.
+    - `pulls` [m] and `pretensioned` [m], `None` where none is: by how much each is shorter, without
+      tension, than its path in the unloaded rod.
     - `unloaded`, (conditions,) or (points, conditions): lengths of the paths per unit of unloaded
       rod.
     - `compliance` [m/N]: 1 / k, or 0; `None` where none stretches.
     - `there`, (points, conditions): whether each is at a point; `None` where all run all along.
     """
 
-    shortening: Float[Array, "conditions"]
+    pulls: Float[Array, "conditions"]
+    pretensioned: Float[Array, "conditions"] | None
     unloaded: Float[Array, "... conditions"]
     compliance: Float[Array, "conditions"] | None
     there: Bool[Array, "points conditions"] | None
@@ -47,10 +48,7 @@ class GivenLengths(AbstractConstraint):
 
     @property
     def loads(self) -> list[Any]:
-        return [self.shortening]
-
-    def with_loads(self, loads: list[Any]) -> "GivenLengths":
-        return dataclasses.replace(self, shortening=loads[0])
+        return [self.pulls, self.pretensioned]
 
     def applied(self, rod: Rod, multipliers: Float[Array, "conditions"]) -> Rod:
         """With the tensions of these tendons beside those that are given."""
@@ -72,7 +70,9 @@ class GivenLengths(AbstractConstraint):
         shorter = self.unloaded - _per_unit(rod, strain, self.which)
         if self.there is not None:
             shorter = jnp.where(self.there, shorter, 0.0)
-        gaps = weights @ shorter - self.shortening
+        gaps = weights @ shorter - self.pulls
+        if self.pretensioned is not None:
+            gaps = gaps - self.pretensioned
         return gaps if self.compliance is None else gaps + self.compliance * multipliers
 
     def gaps_by_strain(
@@ -102,15 +102,14 @@ def given_lengths(
         compliance = jnp.stack([jnp.zeros(()) if k is None else 1.0 / k for k in stiffness])
     there = None if there is None else there[:, jnp.array(which)]
     unloaded = _per_unit(rod, _unloaded(rod), which)
-    lengths = GivenLengths(pulls, unloaded, compliance, there, which)
+    lengths = GivenLengths(jnp.zeros_like(pulls), None, unloaded, compliance, there, which)
+    pulled = lambda taken: dataclasses.replace(lengths, pulls=pulls, pretensioned=taken)
     if all(x is None for x in pretension):
-        return lengths
+        return pulled(None)
     tensions = jnp.stack([jnp.zeros(()) if x is None else jnp.asarray(x) for x in pretension])
     # The gap that is left at pull 0 under the pretensions is what they take off a tendon's length.
-    left = lengths.with_loads([jnp.zeros_like(pulls)]).gaps(
-        rod, _pretensioned(rod, lengths, tensions), tensions, rod.grid.weights
-    )
-    return lengths.with_loads([pulls + left])
+    strain = _pretensioned(rod, lengths, tensions)
+    return pulled(lengths.gaps(rod, strain, tensions, rod.grid.weights))
 
 
 def _pretensioned(rod: Rod, lengths: GivenLengths, tensions) -> Float[Array, "points strain"]:

@@ -95,8 +95,8 @@ def make_rod(
     if pulls is not None:
         assert scene.tendons is not None, INCOMPLETE
         there = where_active(scene, grid, scene.tendons)
-        constraint = given_lengths(scene.tendons, rod, jnp.asarray(pulls), there)
-        rod = dataclasses.replace(rod, constraint=constraint)
+        lengths = given_lengths(scene.tendons, rod, jnp.asarray(pulls), there)
+        rod = dataclasses.replace(rod, constraint=lengths)
     if plane is None:
         return rod
     # Nothing depends on the attitude without dead loads.

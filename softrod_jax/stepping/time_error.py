@@ -112,13 +112,23 @@ def rate_of_change(
         creeps = jnp.min(rod.K_bt[..., :2]) / jnp.maximum(damping, 1e-300)
         decay = jnp.minimum(swings, _BELIEVED * creeps)
     unit = tangent / jnp.sqrt(jnp.sum(tangent * tangent, -1, keepdims=True))
-    along = 0.0 if rod.plane is not None else sum(_moments_along(rod, unit))
+    moments = [] if rod.plane is not None else _moments_along(rod, unit)
+    presses = _has_dead_force(rod)
+    if not moments and not presses:
+        return -decay
+    along = sum(moments, jnp.zeros(()))
     kappa = 0.5 * _SLOPE**2 * along / (rod.L**2 * tip_mass(rod))
-    softer = jnp.maximum(_softening(rod, unit, method), 0.0)
+    softer = jnp.maximum(_softening(rod, unit, method), 0.0) if presses else 0.0
     stiffness = 3 * jnp.min(rod.K_bt[..., :2]) / rod.L**3 - softer
     square = swings**2 - stiffness / tip_mass(rod)
     root = jnp.sqrt(jnp.maximum(0.5 * (jnp.sqrt(square**2 + kappa**2) + square), 0.0))
     return jnp.maximum(root - swings, -decay)
+
+
+def _has_dead_force(rod: Rod) -> bool:
+    at_gaps = rod.at_gaps or ()
+    along = any(load.F is not None and load.frame == "base" for load in at_gaps)
+    return rod.F_tip is not None or rod.gravity is not None or along
 
 
 def _softening(rod: Rod, unit: Float[Array, "nodes 3"], method: AbstractMethod) -> Float[Array, ""]:
