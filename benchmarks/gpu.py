@@ -306,7 +306,7 @@ class Run:
                     rod_seconds_a_second=size * seconds / median,
                 )
             self.report.add("batch", **row)
-            if key[1] == "1e-3 L" and size == self.middle:
+            if key[1] == "1e-3 L" and size == self.middle and (self.on_gpu or name != "motion"):
                 self.loops(name, compiled, median)
 
         return Job(f"{name}, {key[1]}, {size} rods", mapped, arguments, measure, True, key, size)
@@ -481,6 +481,24 @@ class Run:
         job.lower = lambda: lowered
         return job
 
+    def lockstep(self) -> Job:
+        """The motion of `COARSE` as a GPU has it, on a CPU: what it would launch."""
+        arguments = (
+            jnp.tile(VALUES, (self.middle, 1)),
+            jnp.array(tensions(self.middle, self.steps)),
+        )
+
+        def measure(compiled, arguments, times):
+            del times
+            self.loops("motion", compiled, clock(lambda: compiled(*arguments)))
+
+        function = jax.vmap(functools.partial(motion, COARSE))
+        job = Job("motion in lockstep", function, arguments, measure, size=self.middle)
+        with in_lockstep():
+            lowered = job.lower()
+        job.lower = lambda: lowered
+        return job
+
     # All of it
 
     def go(self) -> None:
@@ -496,15 +514,15 @@ class Run:
         sizes = list(dict.fromkeys(n for part in order for n in part))
         gradients = ("reverse gradient", "forward Jacobian")
         # Tracing it must not meet the other programs' traces: it comes first.
-        counting = self.counting()
+        counting = [self.counting(), *([] if self.on_gpu else [self.lockstep()])]
         if self.small:
             waves = [
-                [counting, at("motion", "1e-3 L", middle), at(gradients[0], "1e-3 L", middle)]
+                [*counting, at("motion", "1e-3 L", middle), at(gradients[0], "1e-3 L", middle)]
                 + [self.pieces(x64)[0] for x64 in (True, False)]
             ]
         else:
             waves = [
-                [counting, at("motion", "1e-3 L", middle), self.of_equilibrium(middle)]
+                [*counting, at("motion", "1e-3 L", middle), self.of_equilibrium(middle)]
                 + self.pieces(True),
                 [at(name, "1e-3 L", middle) for name in gradients]
                 + [at("motion", "1e-3 L", n) for n in sizes[:3]]
@@ -882,9 +900,9 @@ def _loops(row: dict) -> str:
     text = table(header, lines)
     if "kernels_a_step" in row:
         text += (
-            f"\n\n{row['kernels_a_step']:.0f} kernels and {row['bytes_a_rod_step'] / 1e6:.3g} MB a "
-            f"rod in a step. Launches predict {row['launching']:.3g} s, bytes {row['moving']:.3g} s; "
-            f"measured {row['seconds']:.3g} s."
+            f"\n\n{row['kernels_a_step']:.0f} kernels and {row['bytes_a_rod_step'] / 1e6:.3g} MB "
+            f"a rod in a step. Launches predict {row['launching']:.3g} s, bytes "
+            f"{row['moving']:.3g} s; measured {row['seconds']:.3g} s."
         )
     return text
 

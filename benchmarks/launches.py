@@ -1,9 +1,9 @@
 """What a compiled program launches and moves, read off its optimised text, loop by loop.
 
 On a GPU every instruction of the optimised program that computes is one kernel, or a call of a
-library, and each pass of a loop launches those of its body again. XLA's own analysis of costs counts
-the body of a loop once; here a loop is kept apart, with the number of its passes where XLA knows
-it. A program for a CPU has fewer and larger pieces, and is counted in the same way.
+library, and each pass of a loop launches those of its body again. XLA's own analysis of costs
+counts the body of a loop once; here a loop is kept apart, with the number of its passes where XLA
+knows it. A program for a CPU is cut into other pieces, and is counted in the same way.
 """
 
 import dataclasses
@@ -47,7 +47,7 @@ class Loop:
 
     - `name`: of the functions in whose code it is, the innermost.
     - `passes`: how many, `None` where only the running program knows.
-    - `kernels`, `products` (of matrices, by a library), `bytes`: of one pass, without `inner` loops.
+    - `kernels`, `products` (of matrices, by a library), `bytes`: of one pass, `inner` loops apart.
     """
 
     name: str
