@@ -541,54 +541,43 @@ class Run:
             if self.report.left < 20:
                 break
             measure_wave(wave, self.report, workers=8 if self.on_gpu else 1)
-        every.judge()
+            every.judge(wait=wave is waves[-1])
 
 
 class Reference:
     """The refined motion of the first rods, by another process where there is a GPU."""
 
     def __init__(self, run: Run):
-        self.run, self.file, self.process = run, None, None
+        self.run, self.file, self.process, self.exact = run, None, None, None
         if run.on_gpu:
             self.file = Path(tempfile.mkdtemp()) / "reference.npy"
             command = [sys.executable, __file__, "--reference", str(self.file)]
             environment = {**os.environ, "JAX_PLATFORMS": "cpu", _INSTALLED: "1"}
             self.process = subprocess.Popen(command, env=environment)
 
-    def tips(self):
-        if self.process is None or self.file is None:
-            return refined(min(JUDGED, self.run.middle), self.run.steps)
-        try:
-            self.process.wait(max(self.run.report.left - 5, 1))
-        except subprocess.TimeoutExpired:
-            self.process.terminate()
-            return None
-        return np.load(self.file) if self.file.exists() else None
+    def tips(self, wait: bool):
+        """`None` if they are not there yet."""
+        if self.exact is None and self.process is None:
+            self.exact = refined(min(JUDGED, self.run.middle), self.run.steps)
+        if self.exact is None and self.process is not None and self.file is not None:
+            with contextlib.suppress(subprocess.TimeoutExpired):
+                self.process.wait(max(self.run.report.left - 5, 0) if wait else 0)
+                self.exact = np.load(self.file)
+        return self.exact
 
-    def judge(self) -> None:
-        """The errors of all motions."""
-        exact = self.tips()
+    def judge(self, wait: bool) -> None:
+        """The errors of all motions that are not judged yet."""
+        report, exact = self.run.report, self.tips(wait)
         if exact is None:
-            self.run.report.add("error", problem="no reference")
             return
-        seen = set()
-        for row in self.run.report.select("batch"):
-            if row["name"] == "equilibrium" or "tips" not in row:
+        for row in report.select("batch"):
+            of = {name: row[name] for name in ("name", "setting", "rods")}
+            if row["name"] == "equilibrium" or "tips" not in row or report.select("error", **of):
                 continue
-            key = row["name"], row["setting"], row["rods"]
             tips = np.array(row["tips"])
             off = np.linalg.norm(tips - exact[: len(tips)], axis=-1).max(1) / float(SCENE.length)
-            if key not in seen:
-                self.run.report.add(
-                    "error",
-                    name=row["name"],
-                    setting=row["setting"],
-                    rods=row["rods"],
-                    judged=len(tips),
-                    largest=float(off.max()),
-                    median=float(np.median(off)),
-                )
-            seen.add(key)
+            largest, median = float(off.max()), float(np.median(off))
+            report.add("error", **of, judged=len(tips), largest=largest, median=median)
 
 
 def refined(count: int, steps: int):

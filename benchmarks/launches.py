@@ -140,7 +140,9 @@ def _collect(computations, name: str, loop: Loop, functions: dict[str, str]) -> 
                 _collect(computations, called, loop, functions)
         elif x.kind not in _FREE:
             loop.kernels += 1
-            loop.products += x.kind == "dot" or "gemm" in x.rest or "cublas" in x.rest
+            # XLA may wrap a product into a fusion.
+            parts = [x, *computations.get(x.attribute("calls") or "", [])]
+            loop.products += any(y.kind == "dot" or "gemm" in y.rest for y in parts)
             loop.bytes += _moved(x, known, computations)
 
 
