@@ -35,6 +35,8 @@ from softrod_jax.scene.tendons import Helix as Helix
 from softrod_jax.scene.tendons import Line as Line
 from softrod_jax.scene.tendons import Points as Points
 from softrod_jax.scene.tendons import Tendons as Tendons
+from softrod_jax.static_path import row_of as row_of
+from softrod_jax.static_path import solve_path as solve_path
 from softrod_jax.statics import StaticSolution as StaticSolution
 from softrod_jax.statics import solve_static as solve_static
 from softrod_jax.statics import tendon_pulls as tendon_pulls

@@ -24,7 +24,13 @@ from softrod_jax.rod.reduction import clamp_pose, make_rod
 from softrod_jax.rod.rotations import to_base
 from softrod_jax.rod.validity import usable_in_time
 from softrod_jax.scene.checks import checked_scene
-from softrod_jax.scene.inputs import Inputs, checked_inputs, time_step, whole_number
+from softrod_jax.scene.inputs import (
+    Inputs,
+    after_play_in_time,
+    checked_inputs,
+    time_step,
+    whole_number,
+)
 from softrod_jax.scene.scene import Scene
 from softrod_jax.scene.tendons import driven_by_length
 from softrod_jax.statics import StaticSolution
@@ -211,8 +217,8 @@ def beginning_in(initial: StaticSolution, scene: Scene) -> Beginning:
     """How a motion of `scene` begins in an equilibrium of it."""
     by_length = driven_by_length(scene.tendons)
     found = initial.tensions[jnp.array(by_length)] if by_length else None
-    pulls = initial.pulls if by_length else None
-    return Beginning(initial.point_strains, initial.result, found, Inputs(pulls=pulls))
+    pulls, slid = initial.pulls if by_length else None, initial.reached.slid
+    return Beginning(initial.point_strains, initial.result, found, Inputs(pulls=pulls), slid)
 
 
 def _from_start(inputs: Inputs, begin: Beginning | None):
@@ -228,6 +234,7 @@ def _from_start(inputs: Inputs, begin: Beginning | None):
 def _simulate(scene, dt, inputs, begin, steps, substeps, scheme, method, options, limit):
     scene, dt, good = usable_in_time(scene, dt)
     first = jax.tree.map(lambda x: x[0], inputs)
+    inputs = after_play_in_time(scene, inputs, None if begin is None else begin.inputs.pulls)
     stepping = stepping_of(scene, dt, first, substeps, scheme, method, options)
     strains, velocities, results, found, stats = march(stepping, inputs, begin, steps, good)
     base, h_base = clamp_pose(scene)

@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int, Real
@@ -18,7 +19,8 @@ from softrod_jax.bvp.grid_control import (
     needed_intervals,
     solve_within,
 )
-from softrod_jax.bvp.load_continuation import SAFE_CONTRACTION, search_by_load
+from softrod_jax.bvp.equations import loads_of
+from softrod_jax.bvp.load_continuation import SAFE_CONTRACTION, Reached, search_by_load
 from softrod_jax.bvp.method import AbstractMethod
 from softrod_jax.bvp.newton import NewtonOptions
 from softrod_jax.bvp.unloaded import unloaded_guess
@@ -28,16 +30,25 @@ from softrod_jax.foundation.precision import require_float64
 from softrod_jax.foundation.results import RESULTS, raise_unless_successful, without_derivative
 from softrod_jax.foundation.tracing import is_traced
 from softrod_jax.rod.constants import full_strain, inner_strain
+from softrod_jax.rod.friction import tensions_along
 from softrod_jax.rod.given_lengths import path_shortening, tensions_of
 from softrod_jax.rod.markers import seen
-from softrod_jax.rod.ode import layout_of
+from softrod_jax.rod.ode import layout_of, slid_after
 from softrod_jax.rod.reduction import clamp_pose, make_rod, where_active
 from softrod_jax.rod.shape import Pose, pose_between
 from softrod_jax.rod.validity import usable
 from softrod_jax.scene.checks import checked_scene
-from softrod_jax.scene.inputs import Inputs, checked_inputs, filled, good_inputs, zero_unless
+from softrod_jax.scene.inputs import (
+    Inputs,
+    after_play,
+    checked_inputs,
+    filled,
+    good_inputs,
+    zero_unless,
+)
 from softrod_jax.scene.planes import in_space
 from softrod_jax.scene.scene import Scene
+from softrod_jax.scene.tendons import rubbing
 
 
 class StaticSolution(eqx.Module):
@@ -50,7 +61,9 @@ class StaticSolution(eqx.Module):
     - `wrenches` (N, M), (outputs, 6): *total* force [N] and moment [N m], body frame.
     - `tensions` [N], (tendons,): of all tendons, at the end where their actuator is; those of
       tendons driven by length follow from their pulls, and are 0 where they are slack.
-    - `pulls` [m]: those that were given.
+    - `tensions_along` [N], (outputs, tendons): along the rod, where friction takes from them; zero
+      where a tendon is not.
+    - `pulls` [m]: those that tendons have followed, behind the play of their actuators.
     - `markers`: by name, "tip" among them, a `Pose` (`position` [m], (3,), `quaternion`, (4,)).
     - `result`: a code of `RESULTS`; 0 is success. Else the numbers are the last iterate.
     - `stats`: "iterations", "residual" (Newton's last correction, relative to the size of the
@@ -69,11 +82,13 @@ class StaticSolution(eqx.Module):
     strains: Float[Array, "outputs 6"]
     wrenches: Float[Array, "outputs 6"]
     tensions: Float[Array, "tendons"]
+    tensions_along: Float[Array, "outputs tendons"]
     pulls: Float[Array, "by_length"]
     markers: dict[str, Pose]
     result: Int[Array, ""]
     stats: dict
     point_strains: Float[Array, "points 6"]
+    reached: Reached
     method: AbstractMethod = eqx.field(static=True)
 
     def at(self, s) -> Pose:
@@ -88,19 +103,27 @@ def solve_static(
     pressures: Real[Array | np.ndarray, "chambers"] | Sequence[ScalarLike] | None = None,
     pulls: Real[Array | np.ndarray, "by_length"] | Sequence[ScalarLike] | None = None,
     *,
+    before: StaticSolution | None = None,
+    sliding: Sequence[float] | np.ndarray | None = None,
     method: AbstractMethod | None = None,
     newton: NewtonOptions = NewtonOptions(),
     tolerance: float | None = None,
     throw: bool = True,
 ) -> StaticSolution:
-    """The equilibrium reached by raising all loads together from zero.
+    """The equilibrium reached by raising all loads together from zero, or from those `before`.
 
     Where several exist, it is the one that the unloaded rod moves to if the loads rise slowly.
     Where that path ends, as in snapping or buckling, a heavily damped motion goes on from there.
+    Tendons with friction remember where they have slid: the equilibrium depends on the path of the
+    inputs, of which this call is one straight piece. `solve_path` takes many.
 
     - `tensions` [N], one for each tendon that is driven by tension, `pressures` [Pa], (chambers,),
       and `pulls` [m], one for each tendon that is driven by length: by how much its actuator
       shortens it. `None` leaves those actuators out.
+    - `before`: the equilibrium in which the rod was before, of the same scene; the unloaded rod if
+      `None`. Its method is this one's, too.
+    - `sliding`: for each tendon with friction the direction in which it slides, 1 towards its
+      actuator, as when it is pulled, or -1, whatever was before.
     - `method`: how to solve along the rod; `Collocation` or `Shooting`, on the grid as given.
       `None`: `Collocation()`, refined until the tip is good to 1e-4 lengths of the rod.
     - `tolerance`: refine the grid, from `method` on, until the estimated error is below this many
@@ -117,13 +140,19 @@ def solve_static(
     require_float64("solve_static")
     given, scene = scene, checked_scene("solve_static", scene)
     inputs = checked_inputs("solve_static", scene, Inputs(tensions, pressures, pulls), ndim=1)
-    arguments = (scene, inputs)
+    past = None if before is None else before.reached
+    directions = _directions(scene, sliding)
+    arguments = (scene, inputs, past, directions)
     traced = is_traced(arguments)
     if tolerance is not None and (traced or is_traced(tolerance) or not 0 < tolerance < 1):
         raise ValueError(
             f"solve_static: tolerance={tolerance}; a part of the rod's length in (0, 1) is needed, "
             "and not under jit, vmap or grad: there, give a method with enough intervals"
         )
+    if before is not None:
+        if method is not None and method.fitted(given) != before.method:
+            raise ValueError("solve_static: `before` was solved with another method; leave it out")
+        method = before.method
     if method is None and not traced:
         method, tolerance = first_grid(Collocation(), scene), tolerance or DEFAULT_TOLERANCE
     method = (Collocation() if method is None else method).fitted(given)
@@ -149,25 +178,43 @@ def tendon_pulls(scene: Scene, solution: StaticSolution) -> Float[Array, "tendon
     return path_shortening(rod, inner_strain(solution.point_strains, rod), there)
 
 
-def _solve(scene, inputs, method, options, traced):
-    solution = _solve_static(scene, inputs, method, options)
+def _directions(scene: Scene, sliding) -> Float[Array, "rubbing"] | None:
+    """Checked: `ValueError` unless there is 1 or -1 for each tendon with friction."""
+    if sliding is None:
+        return None
+    count = 0 if scene.tendons is None else len(rubbing(scene.tendons))
+    known = np.asarray(sliding, dtype=float)
+    if known.shape != (count,) or not np.all(np.abs(known) == 1):
+        raise ValueError(
+            f"solve_static: sliding={sliding!r}; expected 1 (towards the actuator) or -1 for each "
+            f"of the {count} tendons with friction"
+        )
+    return jnp.asarray(known)
+
+
+def _solve(scene, inputs, past, directions, method, options, traced):
+    problem = scene, inputs, past, directions
+    solution = solve_from(*problem, method, options)
     if not traced and int(solution.result) in (RESULTS.diverged, RESULTS.max_iterations):
-        return _relaxed(scene, inputs, method, options)
+        return _relaxed(*problem, method, options)
     return solution
 
 
 @compiled
-def _solve_static(scene, inputs, method, options):
-    scene, rod, valid, layout, guess = _problem(scene, inputs, method)
-    solved = solve_boundary_value(method, layout, options, rod, None, guess, search_by_load)
+def solve_from(scene, inputs, past, directions, method, options):
+    """The equilibrium after `past`, a `Reached`, of what has been checked."""
+    inputs = after_play(scene, inputs, None if past is None else past.pulls)
+    scene, rod, valid, layout, guess, loads = _problem(scene, inputs, past, directions, method)
+    solved = solve_boundary_value(method, layout, options, rod, None, guess, search_by_load, loads)
     none = jnp.zeros((), jnp.int32)
     return _solution(scene, inputs, rod, method, solved, valid, none)
 
 
 @compiled
-def _relaxed(scene, inputs, method, options):
+def _relaxed(scene, inputs, past, directions, method, options):
     """By a damped motion, and Newton's method from where it comes to rest."""
-    scene, rod, valid, layout, guess = _problem(scene, inputs, method)
+    inputs = after_play(scene, inputs, None if past is None else past.pulls)
+    scene, rod, valid, layout, guess, _ = _problem(scene, inputs, past, directions, method)
     rest = dynamic_relaxation(method, layout, options, rod, guess)
     solved = solve_boundary_value(method, layout, options, rod, None, rest.guess)
     found = solved.found
@@ -179,20 +226,29 @@ def _relaxed(scene, inputs, method, options):
     return _solution(scene, inputs, rod, method, solved, valid, rest.steps)
 
 
-def _problem(scene, inputs, method):
+def _problem(scene, inputs, past, directions, method):
+    """The scene and its rod, whether they can be, and where the search begins."""
     scene, valid = usable(scene, good_inputs(inputs), inputs)
     rod = make_rod(scene, zero_unless(valid, inputs), dynamic=False, grid=method.grid(scene))
     layout = layout_of(rod, dynamic=False)
-    return scene, rod, valid, layout, unloaded_guess(layout, rod)
+    guess, loads = unloaded_guess(layout, rod), None
+    if past is not None:
+        ok = valid & jnp.all(jnp.isfinite(past.guess.y))
+        guess = jax.tree.map(lambda a, b: jnp.where(ok, a, b), past.guess, guess)
+        loads = jax.tree.map(lambda x: jnp.where(ok, x, 0.0), past.loads)
+    rod = rod.having_slid(None if past is None else past.slid, directions)
+    return scene, rod, valid, layout, guess, jax.lax.stop_gradient(loads)
 
 
 def _solution(scene, inputs, rod, method, solved, valid, transient_steps):
     result = jnp.where(valid, solved.found.result, RESULTS.bad_input).astype(jnp.int32)
     fields, error = solved.fields, solved.found.error
+    tensions = tensions_of(scene, inputs.tensions, fields.multipliers)
+    layout = layout_of(rod, dynamic=False)
     strain = full_strain(fields.strain, rod)
     positions, quaternions = method.shape(strain, rod.grid, *clamp_pose(scene))
     nodes = method.outputs(rod.grid.s)
-    wrench = method.outputs(fields.y)[:, -layout_of(rod, dynamic=False).pair :]
+    wrench = method.outputs(fields.y)[:, -layout.pair :]
     solution = StaticSolution(
         tip_position=positions[-1],
         tip_quaternion=quaternions[-1],
@@ -201,7 +257,8 @@ def _solution(scene, inputs, rod, method, solved, valid, transient_steps):
         quaternions=quaternions,
         strains=method.outputs(strain),
         wrenches=in_space(wrench, rod.plane),
-        tensions=tensions_of(scene, inputs.tensions, fields.multipliers),
+        tensions=tensions,
+        tensions_along=method.outputs(_along(scene, rod, layout, tensions, fields.y)),
         pulls=jnp.zeros(0) if inputs.pulls is None else jnp.asarray(inputs.pulls),
         markers=seen(scene, method.inside(strain), nodes, positions, quaternions),
         result=result,
@@ -215,8 +272,18 @@ def _solution(scene, inputs, rod, method, solved, valid, transient_steps):
             "transient_steps": transient_steps,
         },
         point_strains=strain,
+        reached=Reached(fields, loads_of(rod), slid_after(fields, rod, layout), inputs.pulls),
         method=method,
     )
     # On a coarse grid there is an answer, and so there is a derivative.
     answered = (result == RESULTS.successful) | (result == RESULTS.inaccurate)
     return without_derivative(~answered, solution)
+
+
+def _along(scene, rod, layout, tensions, y):
+    """The tensions of all tendons at all points."""
+    if scene.tendons is None:
+        return jnp.zeros((y.shape[0], 0))
+    there = where_active(scene, rod.grid, scene.tendons)
+    losses, _ = layout.losses_and_slips(y)
+    return tensions_along(tensions, rod.friction, there, losses, y.shape[0])

@@ -157,19 +157,19 @@ class Collocation(AbstractMethod):
         known = self.outputs(rates(y, strain, rod, layout, None))
 
         def rates_at(y):
-            near = self._strain_at(y, strain, rod)
+            near = self._strain_at(y, strain, rod, layout)
             return rates(y, near, rod, layout, None)
 
         wide = wide_defect(nodes, known, h, self._stride, rates_at, self.division)
         inner = [jnp.zeros_like(nodes[1:])] * len(self._formula.c)
         forces = None if rod.explicit_strains else jnp.zeros_like(strain)
         moved = correct(_Residual(wide.defect, inner, forces))[:, : layout.size]
-        better = full_strain(self._strain_at(wide.y + moved, strain, rod), rod)
+        better = full_strain(self._strain_at(wide.y + moved, strain, rod, layout), rod)
         coarse = self.shape(full_strain(strain, rod), rod.grid, *ORIGIN)[0][-1]
         together = tip_of(better, rod.grid) - coarse
         # The correction of the nodes and that of what lies between them nearly cancel where a layer
         # is only just seen. What is left may be a sixth of the error; the nodes alone show it.
-        at_nodes = full_strain(self._strain_at(y + moved, strain, rod), rod)
+        at_nodes = full_strain(self._strain_at(y + moved, strain, rod, layout), rod)
         at_nodes = self.shape(at_nodes, rod.grid, *ORIGIN)[0][-1] - coarse
         size = jnp.linalg.norm
         moved = jnp.maximum(CAUTION * size(together), 0.5 * size(at_nodes)) / rod.L
@@ -185,9 +185,9 @@ class Collocation(AbstractMethod):
         rough = _ROUGHNESS[self.order] * roughness(bend, stretch, self.order, rod.grid)
         return jnp.maximum(rough, hidden_turns(bend, rod.grid))
 
-    def _strain_at(self, y, strain, rod):
+    def _strain_at(self, y, strain, rod, layout):
         """The strains at states near those that `strain` belongs to."""
-        problem = pointwise_problem(y, rod, None)
+        problem = pointwise_problem(y, rod, layout, None)
         return nearby_strain(problem, strain)
 
     def residual(self, U, rod: Rod, layout: Layout, history, guess) -> "_Residual":
@@ -228,7 +228,7 @@ class Collocation(AbstractMethod):
         if not rod.explicit_strains:
             whole = rod.grid.division is None
             by_wrench = rod.grid.h * at.wrench if whole else self._times(rod.grid, at.wrench)
-            strains = at.compliance, by_wrench
+            strains = at.compliance, by_wrench, self._force_by_state(at.pull, layout)
         left, right = jnp.split(ends, 2, axis=-1)
         if rod.at_gaps is not None:
             slope = self._at_gaps(y, rod, layout, history).by_base_part
@@ -241,7 +241,7 @@ class Collocation(AbstractMethod):
         formula, (A, _, strains) = self._formula, inner
         df: list = [0.0] * (2 + len(A))  # times h
         if strains is not None and residual.forces is not None:
-            _, by_wrench = strains
+            _, by_wrench, _ = strains
             if isinstance(by_wrench, list):  # of stages, where intervals have their own lengths
                 forces = self._by_stage(residual.forces)
                 df = [-apply_each(B, x) for B, x in zip(by_wrench, forces)]
@@ -264,13 +264,25 @@ class Collocation(AbstractMethod):
         dU = jnp.concatenate([body.reshape(-1, body.shape[-1]), dY[-1:]])
         if strains is None:
             return dU
-        wrench = dU[:, -forces.shape[-1] :]
-        return jnp.concatenate([dU, apply_each(strains[0], wrench - forces)], -1)
+        compliance, _, force_by_state = strains
+        if force_by_state is None:
+            wrench = dU[:, -forces.shape[-1] :]
+        else:
+            wrench = apply_each(force_by_state, dU)
+        return jnp.concatenate([dU, apply_each(compliance, wrench - forces)], -1)
+
+    def _force_by_state(self, pull, layout: Layout):
+        """How the forces at a point follow its whole state, where that is more than N and M."""
+        if pull is None:
+            return None
+        n, k = pull.shape[-2], layout.base_size
+        direct = jnp.broadcast_to(jnp.eye(n, layout.size, layout.size - n), (*pull.shape[:-1], layout.size))
+        return direct.at[..., k - layout.rubbing : k].set(pull)
 
     def _split(self, U, rod, layout, history):
         """States, strains and the pointwise problem of which they are the solution."""
         y = U[:, : layout.size]
-        problem = pointwise_problem(y, rod, history)
+        problem = pointwise_problem(y, rod, layout, history)
         strain = recover_strain(problem, None)[0] if rod.explicit_strains else U[:, layout.size :]
         return y, strain, problem
 

@@ -101,8 +101,8 @@ def dynamic_relaxation(
     zero = jnp.zeros((), jnp.int32)
     start = _State(at_rest(guess), _STEP * unit, jnp.array(jnp.inf), zero, zero)
     end = jax.lax.while_loop(goes_on, step, start)
-    pose, wrench = end.guess.y[..., : layout.pose_size], end.guess.y[..., -layout.pair :]
-    last = end.guess._replace(y=layout.join(pose, wrench))
+    pose, rest = end.guess.y[..., : layout.pose_size], end.guess.y[..., layout.pose_size :]
+    last = end.guess._replace(y=layout.join(pose, rest[..., layout.pair :]))
     # The rate is known from the moment on at which all loads act.
     return Rest(last, jnp.isfinite(end.rate), end.rate <= _REST, end.steps)
 

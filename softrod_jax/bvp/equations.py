@@ -13,6 +13,7 @@ Josephy and Newton), and not by trial in Newton's iterations: tendons go slack a
 change of the factors.
 """
 
+import dataclasses
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -116,11 +117,12 @@ class Equations(NamedTuple):
         return self.rod.under(U.multipliers), self.layout, self.history, self.guess
 
     def base(self):
-        """(p, h, q, omega) at the clamp (paper eq. 13)."""
+        """(p, h, q, omega) at the clamp (paper eq. 13), and losses of tendons, none there."""
         p = vector_in(self.rod.plane, self.rod.p_base)
         h = self.rod.h_base if self.layout.attitude else None
         still = jnp.zeros(self.layout.pair) if self.layout.dynamic else None
-        parts = [x for x in (p, h, still) if x is not None]
+        lossless = jnp.zeros(self.layout.rubbing) if self.layout.rubbing else None
+        parts = [x for x in (p, h, still, lossless) if x is not None]
         return jnp.concatenate(parts) if parts else jnp.zeros(0)
 
     def start(self, guess: Guess) -> Unknowns:
@@ -237,7 +239,11 @@ class Equations(NamedTuple):
         A constraint takes unstable directions away: as many as there are where the rod yields
         to its multipliers with the wrong sign (the inertia of a matrix with a border).
         """
-        unstable = count_conjugate_points(factors.sweeps)
+        sweeps = factors.sweeps
+        if self.layout.rubbing:
+            sticking, same = self._sticking(U)
+            sweeps = sticking.factorise(same).sweeps
+        unstable = count_conjugate_points(sweeps)
         if factors.border is None or U.multipliers is None:
             return unstable == 0
         tight = U.multipliers > 0
@@ -246,6 +252,19 @@ class Equations(NamedTuple):
         own = jnp.linalg.eigvalsh(jnp.where(both, 0.5 * (S + S.T), 0.0))
         # What several tendons hold together has zeros, up to rounding.
         return unstable == jnp.sum(own < -_ZERO * jnp.max(jnp.abs(own)))
+
+    def _sticking(self, U: Unknowns) -> tuple["Equations", Unknowns]:
+        """The rod with the tensions along its tendons as they are, and what is unknown of it.
+
+        A disturbance that is small enough lets no tendon slide.
+        """
+        layout, rod = self.layout, self.rod.under(U.multipliers)
+        losses, _ = layout.losses_and_slips(self.fields(U).y)
+        rod = dataclasses.replace(rod.rubbing(losses), friction=None, constraint=None)
+        k, n = layout.base_size, layout.rubbing
+        along = jnp.concatenate([U.along[:, : k - n], U.along[:, k + n :]], 1)
+        layout = dataclasses.replace(layout, rubbing=0)
+        return self._replace(rod=rod, layout=layout), Unknowns(along)
 
     def scale(self, U: Unknowns) -> Unknowns:
         """Sizes of the unknowns, (columns,): a bent rod's, and those of the answer so far."""
@@ -267,7 +286,7 @@ class Equations(NamedTuple):
 
     def error(self, U: Unknowns, factors: Factors) -> Float[Array, ""]:
         """The estimated error of an equilibrium's tip from the grid, in lengths of the rod."""
-        tip, gaps, tight = jnp.zeros(self.layout.pair), None, None
+        tip, gaps, tight = jnp.zeros(self.layout.tip_size), None, None
         rod, constraint = self.rod.under(U.multipliers), self.rod.constraint
         if constraint is not None and U.multipliers is not None:
             # What a wider quadrature says of the conditions.

@@ -29,6 +29,7 @@ from softrod_jax.rod.validity import usable, usable_in_time
 from softrod_jax.scene.checks import checked_scene
 from softrod_jax.scene.inputs import (
     Inputs,
+    after_play,
     checked_inputs,
     filled,
     good_inputs,
@@ -52,7 +53,7 @@ Action = Inputs
 class RodState(eqx.Module):
     """All that the next step depends on, and the code of the steps so far.
 
-    - `time` [s] since the reset; `action`: what acts at this moment.
+    - `time` [s] since the reset; `action`: what acts at this moment, behind the play of actuators.
     - `strains` (v, u) and `velocities` (q, omega), (points, 6) each, body frame, at all points
       of the method. Of a scene that is inextensible, or in a plane, only what is unknown there;
       `Stepper.view` has all.
@@ -260,7 +261,7 @@ def _reset(stepper, initial, action):
 @compiled
 def _step(stepper, state, action, jump):
     good = good_inputs(action)
-    action = zero_unless(good, action)
+    action = after_play(stepper.scene, zero_unless(good, action), state.action.pulls)
     jumps = jax.tree.map(lambda x: jnp.broadcast_to(jump, x.shape), action)
     inputs = StepInputs(state.action, action, without_places(jumps), good)
     restart = state.first | jump

@@ -12,10 +12,13 @@ from softrod_jax.rod.rotations import cross, to_body
 
 
 class Wrench(NamedTuple):
-    """(N, M) as a function of (h, q, omega) at a node: its value, (6,), and its derivative."""
+    """(N, M) as a function of (h, q, omega) at a node: its value, (6,), and its derivative.
 
-    value: Float[Array, "*gaps pair"]
-    by_base_part: Float[Array, "*gaps pair base"]
+    At the tip, slips of tendons come before them, which are zero there.
+    """
+
+    value: Float[Array, "*gaps tip"]
+    by_base_part: Float[Array, "*gaps tip base"]
 
 
 def tip_condition(y: Float[Array, "n"], rod: Rod, layout: Layout, history) -> Wrench:
@@ -25,9 +28,14 @@ def tip_condition(y: Float[Array, "n"], rod: Rod, layout: Layout, history) -> Wr
     """
     load = PointLoad(jnp.ones(1), rod.F_tip, rod.M_tip, rod.payload)
     if all(x is None for x in (rod.F_tip, rod.M_tip, rod.payload)):
-        return Wrench(jnp.zeros(layout.pair), jnp.zeros((layout.pair, layout.base_size)))
+        return Wrench(jnp.zeros(layout.tip_size), jnp.zeros((layout.tip_size, layout.base_size)))
     base_part = y[: layout.base_size]
-    wrench = lambda part: _applied(load, part, rod, layout, history)
+    no_slip = jnp.zeros(layout.rubbing)
+
+    def wrench(part):
+        applied = _applied(load, part, rod, layout, history)
+        return jnp.concatenate([no_slip, applied]) if layout.rubbing else applied
+
     return Wrench(wrench(base_part), jax.jacfwd(wrench)(base_part))
 
 

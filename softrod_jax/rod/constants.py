@@ -6,6 +6,7 @@ Absent parts are `None`, so the equations never see them. Of a scene in a plane 
 plane is left: two numbers for a vector and one for a turn (`scene/planes.py`).
 """
 
+import dataclasses
 from collections.abc import Sequence
 
 import equinox as eqx
@@ -13,6 +14,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from softrod_jax.rod.constraint import AbstractConstraint
+from softrod_jax.rod.friction import Friction, Slid, sliding_throughout
 from softrod_jax.rod.grid import Grid
 from softrod_jax.scene.acting import AbstractDistributedLoad, AbstractEnergy
 from softrod_jax.scene.planes import in_space, turn_in, vector_in
@@ -51,7 +53,8 @@ class Rod(eqx.Module):
     - `at_gaps`: loads and masses along the rod.
     - `material`, `energies`, `distributed_loads`: those of users, at arc lengths `s`* [m]; the last
       two times `load_factor`.
-    - `constraint`: conditions on the whole rod, whose multipliers act on it.
+    - `constraint`: conditions on the whole rod, whose multipliers act on it. `friction`: of
+      tendons in their channels; `tau` is then what acts at their actuators.
     - `h_base`: quaternion of the clamp, (4,). `p_base` [m], (3,): its position, or None where no
       load depends on the position.
 
@@ -88,6 +91,7 @@ class Rod(eqx.Module):
     distributed_loads: Sequence[AbstractDistributedLoad] | None = None
     load_factor: Scalar | None = None
     constraint: AbstractConstraint | None = None
+    friction: Friction | None = None
     s: Float[Array, "points"] | None = None
     plane: str | None = eqx.field(static=True, default=None)
 
@@ -129,6 +133,26 @@ class Rod(eqx.Module):
         along = [x.F if x.F is not None else x.M for x in gaps if x.frame == "base"]
         return any(x is not None for x in (self.gravity, self.F_tip, self.M_tip, *along))
 
+    def rubbing(self, psi: Float[Array, "*points rubbing"]) -> "Rod":
+        """The rod whose tendons with friction have lost the part 1 - exp(-psi) of their tension."""
+        assert self.friction is not None and self.tau is not None, "a rod with friction"
+        tau = jnp.broadcast_to(self.tau, (*psi.shape[:-1], self.tau.shape[-1]))
+        own = jnp.array(self.friction.which)
+        tau = tau.at[..., own].set(tau[..., own] * jnp.exp(-psi))
+        return dataclasses.replace(self, tau=tau)
+
+    def having_slid(self, slid: Slid | None, directions=None) -> "Rod":
+        """The rod whose tendons with friction have slid so before, or not at all.
+
+        `directions`: in which they slide whatever was before, see `sliding_throughout`.
+        """
+        if self.friction is None:
+            return self
+        slid = self.friction.slid if slid is None else slid
+        if directions is not None:
+            slid = sliding_throughout(slid, directions)
+        return dataclasses.replace(self, friction=dataclasses.replace(self.friction, slid=slid))
+
     def under(self, multipliers: Float[Array, "conditions"] | None) -> "Rod":
         """The rod on which the multipliers of its constraint act."""
         if self.constraint is None or multipliers is None:
@@ -139,10 +163,10 @@ class Rod(eqx.Module):
         """The rod with `function` of everything that varies along it: (points, ...) to (m, ...)."""
         own = {name: getattr(self, name) for name in _AXES}
         names = [n for n, x in own.items() if x is not None and x.ndim > _AXES[n]]
-        if not names:
-            return self
-        pick = lambda rod: [getattr(rod, name) for name in names]
-        return eqx.tree_at(pick, self, [function(x) for x in pick(self)])
+        changed: dict = {name: function(own[name]) for name in names}
+        if self.friction is not None:
+            changed["friction"] = self.friction.map_points(function)
+        return dataclasses.replace(self, **changed)
 
 
 # How many axes what may vary has where it does not.

@@ -67,7 +67,7 @@ class GivenLengths(AbstractConstraint):
         weights: Float[Array, "points"],
     ):
         """How much longer each tendon is than its path [m]."""
-        shorter = self.unloaded - _per_unit(rod, strain, self.which)
+        shorter = self.unloaded - per_unit(rod, strain, self.which)
         if self.there is not None:
             shorter = jnp.where(self.there, shorter, 0.0)
         gaps = weights @ shorter - self.pulls
@@ -101,7 +101,7 @@ def given_lengths(
     if any(k is not None for k in stiffness):
         compliance = jnp.stack([jnp.zeros(()) if k is None else 1.0 / k for k in stiffness])
     there = None if there is None else there[:, jnp.array(which)]
-    unloaded = _per_unit(rod, _unloaded(rod), which)
+    unloaded = per_unit(rod, unloaded_strain(rod), which)
     lengths = GivenLengths(jnp.zeros_like(pulls), None, unloaded, compliance, there, which)
     pulled = lambda taken: dataclasses.replace(lengths, pulls=pulls, pretensioned=taken)
     if all(x is None for x in pretension):
@@ -123,7 +123,7 @@ def _pretensioned(rod: Rod, lengths: GivenLengths, tensions) -> Float[Array, "po
         is_leaf=lambda x: x is None,
     )
     alone = eqx.tree_at(lambda r: r.tau, alone, jnp.zeros_like(rod.tau))
-    rest = _unloaded(rod)
+    rest = unloaded_strain(rod)
     rest = jnp.broadcast_to(rest, (rod.grid.s.shape[0], rest.shape[-1]))
     problem = local_problem(lengths.applied(alone, tensions), jnp.zeros_like(rest))
     strain, solved = recover_strain(problem, rest)
@@ -131,7 +131,7 @@ def _pretensioned(rod: Rod, lengths: GivenLengths, tensions) -> Float[Array, "po
     return jnp.where(solved, strain, jnp.nan)
 
 
-def _per_unit(rod: Rod, strain: Float[Array, "... strain"], which: tuple[int, ...]):
+def per_unit(rod: Rod, strain: Float[Array, "... strain"], which: tuple[int, ...]):
     """The lengths of these tendons' paths per unit of rod, (..., conditions)."""
     paths = _paths(rod, which)
     if paths.r.ndim > 2 and strain.ndim == 1:
@@ -149,7 +149,7 @@ def _paths(rod: Rod, which: tuple[int, ...]) -> TendonPull:
     return TendonPull(jnp.ones(len(which)), r, r_s, v)
 
 
-def _unloaded(rod: Rod) -> Float[Array, "... strain"]:
+def unloaded_strain(rod: Rod) -> Float[Array, "... strain"]:
     return rod.u_star if rod.K_se is None else joined(rod.v_star, rod.u_star)
 
 
@@ -160,7 +160,7 @@ def path_shortening(rod: Rod, strain: Float[Array, "points strain"], there) -> F
     """
     assert rod.r is not None, "a rod with tendons"
     every = tuple(range(rod.r.shape[-2]))
-    shorter = _per_unit(rod, _unloaded(rod), every) - _per_unit(rod, strain, every)
+    shorter = per_unit(rod, unloaded_strain(rod), every) - per_unit(rod, strain, every)
     return rod.grid.weights @ (shorter if there is None else jnp.where(there, shorter, 0.0))
 
 

@@ -14,6 +14,8 @@ State, in this order, absent parts left out:
                base frame (gravity, dead tip loads): nothing else depends on it
     q      3   linear velocity R^T p_t [m/s], dynamics only
     omega  3   angular velocity [rad/s], dynamics only
+    psi    -   loss of tension of each tendon with friction, and
+    d      -   its slip [m]; see `friction.py`
     N      3   total force R^T N [N]
     M      3   total moment R^T M [N m]
 
@@ -34,7 +36,8 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
 from softrod_jax.rod.constants import Rod
-from softrod_jax.rod.constitutive import compliance, local_problem, recover_strain
+from softrod_jax.rod.constitutive import compliance, imbalance, local_problem, recover_strain
+from softrod_jax.rod.friction import Slid, by_each_point
 from softrod_jax.rod.rotations import cross, hat, hats, to_base, to_body
 from softrod_jax.scene.acting import Here
 from softrod_jax.scene.planes import in_space, quaternion_in, turn_in, vector_in
@@ -62,6 +65,7 @@ class Layout(eqx.Module):
     inextensible: bool = eqx.field(static=True, default=False)
     planar: bool = eqx.field(static=True, default=False)
     position: bool = eqx.field(static=True, default=False)
+    rubbing: int = eqx.field(static=True, default=0)
 
     @property
     def vector(self) -> int:
@@ -95,12 +99,17 @@ class Layout(eqx.Module):
 
     @property
     def base_size(self) -> int:
-        """How many components are given at the base (p, h, q, omega); N and M follow."""
-        return self.pose_size + self.pair * self.dynamic
+        """How many components are given at the base: p, h, q, omega, psi."""
+        return self.pose_size + self.pair * self.dynamic + self.rubbing
+
+    @property
+    def tip_size(self) -> int:
+        """How many are given at the tip: d, N, M."""
+        return self.rubbing + self.pair
 
     @property
     def size(self) -> int:
-        return self.base_size + self.pair
+        return self.base_size + self.tip_size
 
     def split(self, y: Points) -> tuple[Any, Any, Any, Array, Array]:
         """(h, q, omega, N, M); None for one of the first three that is absent."""
@@ -109,6 +118,11 @@ class Layout(eqx.Module):
         j, k = i + self.vector, i + self.pair
         q, w = (y[..., i:j], y[..., j:k]) if self.dynamic else (None, None)
         return h, q, w, y[..., -self.pair : -self.turn], y[..., -self.turn :]
+
+    def losses_and_slips(self, y: Points) -> tuple[Points, Points]:
+        """(psi, d)."""
+        k = self.base_size
+        return y[..., k - self.rubbing : k], y[..., k : k + self.rubbing]
 
     def split_strain(self, strain: Float[Array, "*points strain"]) -> tuple[Any, Array]:
         """(v, u); None for v where the rod is inextensible."""
@@ -128,6 +142,7 @@ def layout_of(rod: Rod, dynamic: bool) -> Layout:
         inextensible=rod.K_se is None,
         planar=rod.plane is not None,
         position=rod.p_base is not None,
+        rubbing=0 if rod.friction is None else rod.friction.count,
     )
 
 
@@ -151,7 +166,7 @@ def rod_ode(
     `guess` (*points, 6): strains from which the pointwise solve starts (tendons only); the
     answer does not depend on it.
     """
-    problem = pointwise_problem(y, rod, history)
+    problem = pointwise_problem(y, rod, layout, history)
     strain, solvable = recover_strain(problem, guess)
     return Rates(rates(y, strain, rod, layout, history), strain, solvable)
 
@@ -162,11 +177,14 @@ class Jacobian(NamedTuple):
     - `state`: d(dy/ds)/dy, (*points, n, n), the strains following.
     - `compliance`: d(v, u)/d(N, M), (*points, 6, 6); `wrench`: what follows from it alone for
       dy/ds, (*points, n, 6).
+    - `pull`: the wrench that a loss of tension takes away, by the losses, (*points, 6, rubbing);
+      `None` without friction.
     """
 
     state: Float[Array, "*points n n"]
     compliance: Float[Array, "*points strain strain"]
     wrench: Float[Array, "*points n strain"]
+    pull: Float[Array, "*points strain rubbing"] | None = None
 
 
 def rod_ode_jacobian(
@@ -177,18 +195,34 @@ def rod_ode_jacobian(
     Written out, because 16 forward tangents of `rod_ode` cost several times as much.
     """
     f_y, f_strain = _partial_derivatives(y, strain, rod, layout, history)
-    problem = pointwise_problem(y, rod, history)
+    problem = pointwise_problem(y, rod, layout, history)
     C = compliance(problem, strain)
     by_wrench = f_strain / problem.k[..., None, :] if problem.explicit else f_strain @ C
-    n = rod.strain_size
+    n, pull = rod.strain_size, None
     state = jnp.concatenate([f_y[..., :-n], f_y[..., -n:] + by_wrench], -1)
-    return Jacobian(state, C, by_wrench)
+    if layout.rubbing:
+        pull = _pull_by_loss(y, strain, rod, layout, history)
+        k = layout.base_size
+        state = state.at[..., k - layout.rubbing : k].add(by_wrench @ pull)
+    return Jacobian(state, C, by_wrench, pull)
 
 
-def pointwise_problem(y, rod, history):
+def pointwise_problem(y, rod, layout, history):
     """That of the strains, for these states."""
+    if layout.rubbing:
+        rod = rod.rubbing(layout.losses_and_slips(y)[0])
     c0, strain_history = (None, None) if history is None else (history.c0, history.strain)
     return local_problem(rod, y[..., -rod.strain_size :], c0, strain_history)
+
+
+def _pull_by_loss(y, strain, rod, layout, history):
+    """See `Jacobian.pull`."""
+    k = layout.base_size
+    own = slice(k - layout.rubbing, k)
+    pull = lambda psi: -imbalance(
+        pointwise_problem(y.at[..., own].set(psi), rod, layout, history), strain
+    )
+    return by_each_point(pull, y[..., own])
 
 
 def rates(y, strain, rod, layout, history):
@@ -223,7 +257,18 @@ def rates(y, strain, rod, layout, history):
     if rod.distributed_loads is not None:
         applied = distributed(y[..., : layout.base_size], rod, layout)
         N_s, M_s = N_s - applied[..., : layout.vector], M_s - applied[..., layout.vector :]
-    return layout.join(p_s, h_s, q_s, w_s, N_s, M_s)
+    psi_s = d_s = None
+    if layout.rubbing:
+        psi_s, d_s = rod.friction.rates(v, u, layout.losses_and_slips(y)[1])
+    return layout.join(p_s, h_s, q_s, w_s, psi_s, d_s, N_s, M_s)
+
+
+def slid_after(fields, rod: Rod, layout: Layout) -> Slid | None:
+    """How tendons with friction have slid where states and strains at all points are `fields`."""
+    if rod.friction is None:
+        return None
+    slip = layout.losses_and_slips(fields.y)[1]
+    return rod.friction.after(*_strains(fields.strain, rod, layout), slip)
 
 
 def _strains(strain, rod, layout):
@@ -273,6 +318,8 @@ def _partial_derivatives(y, strain, rod, layout, history):
         f_y, f_strain = _with_attitude(f_y, f_strain, h, u, rod, layout)
     if layout.position:
         f_y, f_strain = _with_position(f_y, f_strain, h, v, layout)
+    if layout.rubbing:
+        f_y, f_strain = _with_friction(f_y, f_strain, y, strain, rod, layout)
     if rod.distributed_loads is not None:
         base_part = y[..., : layout.base_size]
         slope = distributed(base_part, rod, layout, jax.jacfwd, "(i,n)")
@@ -314,6 +361,26 @@ def _with_position(f_y, f_strain, h, v, layout):
     stretch = [] if layout.inextensible else [R]
     by_strain = jnp.concatenate([*stretch, none(m, layout.turn)], -1)
     return jnp.concatenate([top, below], -2), jnp.concatenate([by_strain, f_strain], -2)
+
+
+def _with_friction(f_y, f_strain, y, strain, rod, layout):
+    """Insert the rows and columns of losses and slips before those of N and M."""
+    slip = layout.losses_and_slips(y)[1]
+    at = layout.base_size - layout.rubbing
+
+    def own(strain, slip):
+        return jnp.concatenate(rod.friction.rates(*_strains(strain, rod, layout), slip), -1)
+
+    by_slip = by_each_point(lambda slip: own(strain, slip), slip)
+    by_strain = by_each_point(lambda strain: own(strain, slip), strain)
+    between = lambda a, rows, axis: jnp.concatenate(
+        [*jnp.split(a, [at], axis)[:1], rows, *jnp.split(a, [at], axis)[1:]], axis
+    )
+    m = by_slip.shape[-2]
+    f_y = between(f_y, jnp.zeros((*f_y.shape[:-1], m)), -1)
+    rows = jnp.zeros((*f_y.shape[:-2], m, f_y.shape[-1]))
+    rows = rows.at[..., layout.base_size : layout.base_size + layout.rubbing].set(by_slip)
+    return between(f_y, rows, -2), between(f_strain, by_strain, -2)
 
 
 def to_body_by_attitude(h, a):
@@ -381,6 +448,10 @@ def sizes(Y: Points, rod: Rod, layout: Layout, history: History | None) -> Float
         jnp.ones(layout.attitude_size) if layout.attitude else None,
         rate * rod.L * vector if layout.dynamic else None,
         rate * turn if layout.dynamic else None,
+        # Losses follow turns: what a first, frictionless correction leaves of them is no sign that
+        # Newton's method is far away.
+        10.0 * jnp.ones(layout.rubbing),
+        rod.L * jnp.ones(layout.rubbing),
         (EI / rod.L**2 + N) * vector,
         (EI / rod.L + M) * turn,
     )

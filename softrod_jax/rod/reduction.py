@@ -9,7 +9,8 @@ from jaxtyping import Array, Bool
 
 from softrod_jax.rod.body import INCOMPLETE, body_along
 from softrod_jax.rod.constants import PointLoad, Rod
-from softrod_jax.rod.given_lengths import given_lengths
+from softrod_jax.rod.friction import STICK, Friction, unslid
+from softrod_jax.rod.given_lengths import given_lengths, per_unit, unloaded_strain
 from softrod_jax.rod.grid import (
     Grid,
     divide,
@@ -23,7 +24,7 @@ from softrod_jax.rod.grid import (
 from softrod_jax.scene.inputs import Inputs
 from softrod_jax.scene.planes import about_normal, angle_in, turn_in, vector_in
 from softrod_jax.scene.scene import Scene
-from softrod_jax.scene.tendons import driven_by_length
+from softrod_jax.scene.tendons import driven_by_length, rubbing
 
 # In units of rho ds^2 / E, with ds the distance of points. Smaller ones let the fronts of large
 # tensions ring. On the paper's rod at dt = 1 ms this one moves the tip by less than 1e-7 m, whether
@@ -92,6 +93,8 @@ def make_rod(
         s=None if all(x is None for x in own) else grid.s,
         plane=plane,
     )
+    if not no_tendons and rubbing(scene.tendons):
+        rod = dataclasses.replace(rod, friction=_friction(scene, rod))
     if pulls is not None:
         assert scene.tendons is not None, INCOMPLETE
         there = where_active(scene, grid, scene.tendons)
@@ -140,6 +143,31 @@ def _tendons(scene: Scene, grid: Grid, tensions) -> tuple[Array, Array, Array | 
         given = [i for i in range(tendons.count) if i not in by_length]
         tensions = jnp.zeros(tendons.count).at[jnp.array(given)].set(tensions)
     return tensions if there is None else jnp.where(there, tensions, 0.0), r, r_s
+
+
+def _friction(scene: Scene, rod: Rod) -> Friction:
+    """Of tendons that have not slid yet."""
+    tendons, grid = scene.tendons, rod.grid
+    assert tendons is not None and rod.r is not None, INCOMPLETE
+    which = rubbing(tendons)
+    own = jnp.array(which)
+    r_ss, there = tendons.bends(grid.s, scene.length), where_active(scene, grid, tendons)
+    ends = [jnp.asarray(tendons.part(i, scene.length)[1], dtype=float) for i in which]
+    chosen = lambda x: None if x is None else x[..., own, :]
+    unloaded = per_unit(rod, unloaded_strain(rod), which)
+    unloaded = jnp.broadcast_to(unloaded, (grid.s.shape[0], len(which)))
+    return Friction(
+        coefficient=jnp.stack([jnp.asarray(tendons.friction[i], dtype=float) for i in which]),
+        r=rod.r[..., own, :],
+        r_s=chosen(rod.r_s),
+        r_ss=chosen(vector_in(scene.plane, r_ss)),
+        there=None if there is None else there[:, own],
+        to_end=jnp.stack(ends) - grid.s[:, None],
+        unloaded=unloaded,
+        slid=unslid(unloaded),
+        stick=jnp.array(STICK),
+        which=which,
+    )
 
 
 def _point_loads(scene: Scene, grid: Grid) -> tuple[PointLoad, ...] | None:

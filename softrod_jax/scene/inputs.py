@@ -212,3 +212,49 @@ def zero_unless(good: Bool[Array, "*rows"], inputs: Inputs) -> Inputs:
     The zeros keep a bad sample's arithmetic finite; its result code says that it is no answer.
     """
     return jax.tree.map(lambda x: jnp.where(good[..., None], x, 0.0), inputs)
+
+
+def after_play(
+    scene: Scene, inputs: Inputs, before: Float[Array, "by_length"] | None = None
+) -> Inputs:
+    """Constant inputs, the pulls as tendons follow them: behind the play of their actuators.
+
+    `before` [m]: how far tendons had followed; not at all if `None`. A tendon stays where it is
+    while the pull moves within the play, half of it to either side.
+    """
+    play = _play(scene)
+    if play is None or inputs.pulls is None:
+        return inputs
+    pulls, (has, play) = jnp.asarray(inputs.pulls), play
+    before = jnp.zeros_like(pulls) if before is None else before
+    behind = jnp.clip(before, pulls - 0.5 * play, pulls + 0.5 * play)
+    return inputs._replace(pulls=jnp.where(has, behind, pulls))
+
+
+def after_play_in_time(
+    scene: Scene, inputs: Inputs, before: Float[Array, "by_length"] | None = None
+) -> Inputs:
+    """The same of inputs in time, (steps, actuators) each."""
+    if _play(scene) is None or inputs.pulls is None:
+        return inputs
+    pulls = jnp.asarray(inputs.pulls)
+    start = jnp.zeros_like(pulls[0]) if before is None else before
+
+    def follow(before, row):
+        now = after_play(scene, Inputs(pulls=row), before).pulls
+        return now, now
+
+    return inputs._replace(pulls=jax.lax.scan(follow, start, pulls)[1])
+
+
+def _play(scene: Scene):
+    """Of each tendon driven by length, whether its actuator has play, and how much [m]."""
+    tendons = scene.tendons
+    by_length = driven_by_length(tendons)
+    if not by_length or tendons is None or tendons.backlash is None:
+        return None
+    own = [tendons.backlash[i] for i in by_length]
+    if all(x is None for x in own):
+        return None
+    has = np.array([x is not None for x in own])
+    return has, jnp.stack([jnp.zeros(()) if x is None else jnp.asarray(x, dtype=float) for x in own])

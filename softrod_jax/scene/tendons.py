@@ -119,7 +119,7 @@ def _words(words):
 
 
 class Tendons(eqx.Module):
-    """Frictionless tendons.
+    """Tendons that run in the sections, and what drives them.
 
     - `offsets` [m], (tendons, 2): x and y of each in the section.
     - `paths`: for each a path that is added to its offset, or `None` for one parallel to the rod.
@@ -132,6 +132,10 @@ class Tendons(eqx.Module):
       push.
     - `stiffness` [N/m]: of a tendon driven by its length, all of it; `None` for one that does not
       stretch. `pretension` [N]: its tension at pull 0, in the rod without loads; `None` for 0.
+    - `friction`: the Coulomb coefficient of each along its path, `None` for none; see
+      `rod/friction.py`.
+    - `backlash` [m]: of a tendon driven by length, the play of its actuator: so far the pull goes
+      on a return before the tendon follows; `None` for none.
     """
 
     offsets: Given[RowsLike] = number(
@@ -144,9 +148,12 @@ class Tendons(eqx.Module):
     control: str | Sequence[str] = eqx.field(static=True, default="tension", converter=_words)
     stiffness: Each | None = number("N/m", each=True, above=0, harmless=1.0)
     pretension: Each | None = number("N", each=True, at_least=0)
+    friction: Each | None = number(each=True, at_least=0)
+    backlash: Each | None = number("m", each=True, at_least=0)
 
     def __check_init__(self):
-        for name in ("paths", "starts_at", "ends_at", "stiffness", "pretension"):
+        own = ("paths", "starts_at", "ends_at", "stiffness", "pretension", "friction", "backlash")
+        for name in own:
             check_each("Tendons", name, getattr(self, name), self.count, "tendon")
         for name, offered in (("guided", GUIDES), ("control", CONTROLS)):
             words = self.words(name)
@@ -167,6 +174,11 @@ class Tendons(eqx.Module):
     def guides(self) -> tuple[str, ...]:
         """By what each is guided."""
         return self.words("guided")
+
+    @property
+    def rubbing(self) -> tuple[int, ...]:
+        """The numbers of those with friction."""
+        return tuple(i for i, x in enumerate(self.friction or ()) if x is not None)
 
     @property
     def by_length(self) -> tuple[int, ...]:
@@ -201,27 +213,52 @@ class Tendons(eqx.Module):
         which paths need.
         """
         r = jnp.concatenate([self.offsets, jnp.zeros_like(self.offsets[:, :1])], axis=1)
-        if self.paths is None or all(path is None for path in self.paths):
+        if self.straight:
             return r, None
+        place, slope = self._along(s, length, _with_slope)
+        return r + place, slope
+
+    @property
+    def straight(self) -> bool:
+        """Whether all are parallel to the rod."""
+        return self.paths is None or all(path is None for path in self.paths)
+
+    def bends(self, s, length) -> Float[Array, "*points tendons 3"] | None:
+        """Second derivatives r_i,ss [1/m]; `None` where all are straight."""
+        if self.straight:
+            return None
+        slope = lambda place: lambda x: _with_slope(place)(x)[1]
+        return self._along(s, length, lambda place: _with_slope(slope(place)))[1]
+
+    def _along(self, s, length, derived):
+        """`derived(place)(s)`, two values, of the paths of all, (*points, tendons, 3) each."""
         s = jnp.asarray(s)
-        places, slopes = [], []
-        for i, path in enumerate(self.paths):
-            at, slope = jnp.zeros((*s.shape, 2)), jnp.zeros((*s.shape, 2))
+        values = []
+        for i in range(self.count):
+            path = self.path(i)
+            pair = (jnp.zeros((*s.shape, 2)),) * 2
             if path is not None:
                 ends = self.part(i, length)
                 place = lambda x, path=path, ends=ends: path.place(x, *ends)
-                with_slope = lambda x, place=place: jax.jvp(place, (x,), (jnp.ones_like(x),))
                 inside = jnp.clip(s, *ends)
-                at, slope = jnp.vectorize(with_slope, signature="()->(n),(n)")(inside)
-            places.append(at)
-            slopes.append(slope)
+                pair = jnp.vectorize(derived(place), signature="()->(n),(n)")(inside)
+            values.append(pair)
         flat = lambda a: jnp.concatenate([a, jnp.zeros_like(a[..., :1])], -1)
-        return r + flat(jnp.stack(places, -2)), flat(jnp.stack(slopes, -2))
+        return tuple(flat(jnp.stack(x, -2)) for x in zip(*values))
+
+
+def _with_slope(place):
+    return lambda x: jax.jvp(place, (x,), (jnp.ones_like(x),))
 
 
 def driven_by_length(tendons) -> tuple[int, ...]:
     """The numbers of the tendons whose length is given; another class of tendons has none."""
     return tendons.by_length if type(tendons) is Tendons else ()
+
+
+def rubbing(tendons) -> tuple[int, ...]:
+    """The numbers of the tendons with friction; another class of tendons has none."""
+    return tendons.rubbing if type(tendons) is Tendons else ()
 
 
 def part_of(actuators, i: int, length):

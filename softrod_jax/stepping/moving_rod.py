@@ -18,8 +18,9 @@ from softrod_jax.bvp.newton import NewtonOptions, ReusedFactors, no_factors
 from softrod_jax.bvp.unloaded import unloaded_guess
 from softrod_jax.foundation.results import RESULTS
 from softrod_jax.rod.constants import Rod, fastest_wave, inner_strain
+from softrod_jax.rod.friction import Slid
 from softrod_jax.rod.grid import Grid
-from softrod_jax.rod.ode import History, Layout, layout_of
+from softrod_jax.rod.ode import History, Layout, layout_of, slid_after
 from softrod_jax.rod.reduction import make_rod
 from softrod_jax.scene.inputs import Inputs, good_inputs, zero_unless
 from softrod_jax.scene.scene import Scene
@@ -46,19 +47,21 @@ class Fields(NamedTuple):
 class Beginning(NamedTuple):
     """The equilibrium in which a motion begins, its result code and, where they are known, inputs.
 
-    `multipliers`: as in `Guess`.
+    `multipliers`: as in `Guess`; `slid`: of tendons with friction.
     """
 
     strain: Float[Array, "points 6"]
     result: Int[Array, ""]
     multipliers: Float[Array, "conditions"] | None = None
     inputs: Inputs = Inputs()
+    slid: Slid | None = None
 
 
 class Progress(NamedTuple):
     """What a solve hands to the next, besides the memory of the time scheme.
 
-    - `guess`: the last solution; `multipliers`: those of it, with their derivatives.
+    - `guess`: the last solution; `multipliers`: those of it, with their derivatives; `slid`: how
+      tendons with friction have slid until then.
     - `loads` and `history`: those of the last solve; `rate`: that of the strains there; `factors`
       of the last Jacobian, made with `c0`, which is 0 where they serve no longer.
     - `result`: the code so far. `iterations` and `correction`: in this step.
@@ -68,6 +71,7 @@ class Progress(NamedTuple):
 
     guess: Guess
     multipliers: Float[Array, "conditions"] | None
+    slid: Slid | None
     loads: list
     rate: Float[Array, "points strain"]
     history: History
@@ -136,6 +140,7 @@ class MovingRod(NamedTuple):
         progress = Progress(
             guess=guess,
             multipliers=multipliers,
+            slid=self._slid_at_first(begin),
             loads=loads_of(scaled_loads(self.rod, 0.0)),
             rate=steady,
             history=history,
@@ -150,9 +155,21 @@ class MovingRod(NamedTuple):
         )
         return State(self.scheme.start(Fields(guess.strain, still), guess), progress)
 
-    def solve(self, c0, history: Fields, inputs: Inputs, good, progress: Progress):
-        """The fields where y_t = c0 y + `history`, and the progress with them."""
-        rod = self.under(inputs)
+    def _slid_at_first(self, begin: Beginning | None) -> Slid | None:
+        if self.rod.friction is None:
+            return None
+        unslid = self.rod.friction.slid
+        if begin is None or begin.slid is None:
+            return unslid
+        good = jnp.all(jnp.isfinite(begin.strain))
+        return jax.tree.map(lambda a, b: jnp.where(good, a, b), begin.slid, unslid)
+
+    def solve(self, c0, history: Fields, inputs: Inputs, good, slid, progress: Progress):
+        """The fields where y_t = c0 y + `history`, and the progress with them.
+
+        `slid`: how tendons had slid when the substep began.
+        """
+        rod = self.under(inputs).having_slid(slid)
         # After a failure, an unloaded rod at rest costs a batch no iterations.
         alive = progress.result == RESULTS.successful
         rod = scaled_loads(rod, jnp.where(alive, 1.0, 0.0))
@@ -179,6 +196,7 @@ class MovingRod(NamedTuple):
         progress = progress._replace(
             guess=jax.lax.stop_gradient(fields),
             multipliers=fields.multipliers,
+            slid=slid_after(fields, rod, self.layout),
             loads=jax.lax.stop_gradient(loads_of(rod)),
             rate=jax.lax.stop_gradient(c0 * fields.strain + slowed.strain),
             factors=solved.factors,
@@ -200,7 +218,7 @@ class MovingRod(NamedTuple):
         def solve(c0, history, at, progress):
             # Not above 1 by rounding: a tension that falls to zero would become negative.
             now = inputs.at(jnp.minimum(first + at * part, 1.0), rise)
-            return self.solve(c0, history, now, inputs.good, progress)
+            return self.solve(c0, history, now, inputs.good, state.progress.slid, progress)
 
         new_memory, after, errors = self.scheme.step(memory, coefficients, solve, progress)
         fields, errors = jax.lax.stop_gradient((new_memory[0], errors))
@@ -215,7 +233,7 @@ class MovingRod(NamedTuple):
         unless_failed = lambda new, old: jax.tree.map(lambda a, b: jnp.where(ok, a, b), new, old)
         memory = unless_failed(new_memory, jax.lax.stop_gradient(memory))
         after = after._replace(time_error=time_error)
-        last = ("guess", "multipliers", "loads", "rate", "history", "time_error")
+        last = ("guess", "multipliers", "slid", "loads", "rate", "history", "time_error")
         pick = lambda progress: {name: getattr(progress, name) for name in last}
         return State(memory, after._replace(**unless_failed(pick(after), pick(progress)))), errors
 
