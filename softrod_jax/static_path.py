@@ -1,6 +1,7 @@
 """Equilibria along a path of inputs: each one is reached from the one before it."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from typing import NamedTuple
 
 import equinox as eqx
 import jax
@@ -10,6 +11,7 @@ from jaxtyping import Array, Real
 
 from softrod_jax.bvp.collocation import Collocation
 from softrod_jax.bvp.equations import loads_of, scaled_loads
+from softrod_jax.bvp.grid_control import DEFAULT_TOLERANCE, first_grid, solve_within
 from softrod_jax.bvp.load_continuation import Reached
 from softrod_jax.bvp.method import AbstractMethod
 from softrod_jax.bvp.newton import NewtonOptions
@@ -17,7 +19,8 @@ from softrod_jax.bvp.unloaded import unloaded_guess
 from softrod_jax.foundation.compiling import compiled
 from softrod_jax.foundation.numbers import ManyLike
 from softrod_jax.foundation.precision import require_float64
-from softrod_jax.foundation.results import raise_unless_successful
+from softrod_jax.foundation.results import RESULTS, raise_unless_successful
+from softrod_jax.foundation.tracing import is_traced
 from softrod_jax.rod.ode import layout_of
 from softrod_jax.rod.reduction import make_rod
 from softrod_jax.scene.checks import checked_scene
@@ -45,7 +48,9 @@ def solve_path(
 
     - `tensions`, `pressures`, `pulls`: as of `solve_static`, one row an equilibrium.
     - `before`: the equilibrium before the first row; the unloaded rod if `None`.
-    - `method`: on the grid as given; that of `before`, or `Collocation()`, if `None`.
+    - `method`: on the grid as given; that of `before`, or `Collocation()`, refined until every
+      row's tip is good to 1e-4 lengths of the rod, if `None`. Under `jit`, `vmap` and `grad` it is
+      not refined.
     - `throw`: raise `SolveError` for the first row that has no answer; else rows have codes. The
       row after one without an answer starts from the last iterate.
 
@@ -61,14 +66,42 @@ def solve_path(
         if method is not None and method.fitted(given) != before.method:
             raise ValueError("solve_path: `before` was solved with another method; leave it out")
         method = before.method
-    method = (Collocation() if method is None else method).fitted(given)
     past = None if before is None else before.reached
-    path = _solve_path(scene, inputs, past, method, newton)
+    refined = method is None and not is_traced((scene, inputs))
+    if method is None:
+        method = first_grid(Collocation(), scene) if refined else Collocation()
+    method = method.fitted(given)
+    solve = lambda method: _solve_path(scene, inputs, past, method, newton)
+    path = _refined(solve, method) if refined else solve(method)
     if throw:
         bad = path.result != 0
         first = jnp.where(jnp.any(bad), path.result[jnp.argmax(bad)], 0)
         path = raise_unless_successful(first, path, "solve_path")
     return path
+
+
+def _refined(solve: Callable, method: AbstractMethod) -> StaticSolution:
+    """On a grid so fine that every row is good enough, if there is one."""
+    best = None
+
+    def worst(method):
+        nonlocal best
+        best = solve(method)
+        code = best.result[jnp.argmax(best.result != RESULTS.successful)]
+        return _Worst(code, {"error": jnp.max(best.stats["error"])})
+
+    solve_within(worst, method, DEFAULT_TOLERANCE)
+    assert best is not None, "it is solved once at least"
+    coarse = (best.result == RESULTS.successful) & (best.stats["error"] > DEFAULT_TOLERANCE)
+    codes = jnp.where(coarse, RESULTS.inaccurate, best.result).astype(jnp.int32)
+    return eqx.tree_at(lambda x: x.result, best, codes)
+
+
+class _Worst(NamedTuple):
+    """The first code of a path that is none of success, and its largest error."""
+
+    result: Array
+    stats: dict
 
 
 def row_of(path: StaticSolution, k: int) -> StaticSolution:

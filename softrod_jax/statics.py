@@ -13,13 +13,13 @@ from softrod_jax.bvp.boundary_value import (
 )
 from softrod_jax.bvp.collocation import Collocation
 from softrod_jax.bvp.dynamic_relaxation import dynamic_relaxation
+from softrod_jax.bvp.equations import loads_of
 from softrod_jax.bvp.grid_control import (
     DEFAULT_TOLERANCE,
     first_grid,
     needed_intervals,
     solve_within,
 )
-from softrod_jax.bvp.equations import loads_of
 from softrod_jax.bvp.load_continuation import SAFE_CONTRACTION, Reached, search_by_load
 from softrod_jax.bvp.method import AbstractMethod
 from softrod_jax.bvp.newton import NewtonOptions

@@ -18,6 +18,7 @@ from calibration.experiment.setup import Setup
 from calibration.parameters.scales import AbstractScale, Between, Factor, Shift
 from softrod_jax.scene.inputs import KINDS
 from softrod_jax.scene.placement import outside_sections
+from softrod_jax.scene.tendons import rubbing
 
 
 @dataclass(frozen=True)
@@ -25,7 +26,8 @@ class Parameter:
     """One number, or several that are scaled together.
 
     - `find`: the array it is in, in a `Setup`; `index` in that array, None for all of it. Or a
-      tuple of numbers, of which some may be None, as tendons have them: all those there are.
+      tuple of numbers, of which some may be None, as tendons have them: all those there are, or
+      the one at `index`.
     - `make`: puts the array into a setup that has none, at values that change nothing; None if
       the scene must have it.
     - `remedy`: what to add to a scene that lacks it.
@@ -44,7 +46,7 @@ class Parameter:
     def get(self, setup: Setup):
         """The value in `setup`; None if it has none."""
         array = self.find(setup)
-        if isinstance(array, tuple):
+        if isinstance(array, tuple) and self.index is None:
             numbers = [x for x in array if x is not None]
             return jnp.stack(numbers) if numbers else None
         return array if array is None or self.index is None else array[self.index]
@@ -53,9 +55,11 @@ class Parameter:
         """The setup with another value."""
         there = self.find(setup)
         if isinstance(there, tuple):
-            numbers = iter(value)
-            value = tuple(None if x is None else next(numbers) for x in there)
-        if self.index is not None:
+            one = lambda i: self.index is None or self.index == i
+            numbers = iter(value if self.index is None else (value,))
+            own = [one(i) and x is not None for i, x in enumerate(there)]
+            value = tuple(next(numbers) if mine else x for mine, x in zip(own, there))
+        elif self.index is not None:
             value = self.find(setup).at[self.index].set(value)
         return eqx.tree_at(self.find, setup, value)
 
@@ -175,14 +179,15 @@ def _of_tendons(scene: sr.Scene) -> list[_Entry]:
         number = _numbered(by_tension)
         found += _group("tendon_efficiency_each", "1", efficiency, Factor(), number, ones)
         found.append((None, Parameter("tendon_efficiency", "1", efficiency, make=ones)))
+    named = [("tendon_friction", "friction", "1")]
     if driven["pulls"]:
-        for name, key, unit in (
-            ("tendon_stiffness", "stiffness", "N/m"),
-            ("pretension", "pretension", "N"),
-        ):
-            remedy = f"[[tendons]] {key}"
-            found.append((None, Parameter(name, unit, _part("tendons", key), remedy=remedy)))
-    return found
+        named.append(("tendon_stiffness", "stiffness", "N/m"))
+        named += [("pretension", "pretension", "N"), ("backlash", "backlash", "m")]
+    for name, key, unit in named:
+        remedy = f"[[tendons]] {key}"
+        found.append((None, Parameter(name, unit, _part("tendons", key), remedy=remedy)))
+    rubs = {str(i + 1): i for i in rubbing(scene.tendons)}
+    return found + _group("tendon_friction_each", "1", _part("tendons", "friction"), Factor(), rubs)
 
 
 def _of_chambers(scene: sr.Scene) -> list[_Entry]:

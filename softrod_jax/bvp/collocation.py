@@ -276,7 +276,9 @@ class Collocation(AbstractMethod):
         if pull is None:
             return None
         n, k = pull.shape[-2], layout.base_size
-        direct = jnp.broadcast_to(jnp.eye(n, layout.size, layout.size - n), (*pull.shape[:-1], layout.size))
+        direct = jnp.broadcast_to(
+            jnp.eye(n, layout.size, layout.size - n), (*pull.shape[:-1], layout.size)
+        )
         return direct.at[..., k - layout.rubbing : k].set(pull)
 
     def _split(self, U, rod, layout, history):

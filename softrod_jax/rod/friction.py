@@ -38,11 +38,13 @@ _STRAIGHT = 1e-4
 class Slid(NamedTuple):
     """How far tendons with friction have slid, at all points of the rod; (points, rubbing) each.
 
+    - `loss`: psi, of tension so far along the rod.
     - `slip` [m], towards the actuator since the rod was unloaded; `path`: |l| per unit of rod.
     - `direction`: -1 to 1, how far each has gone from full friction one way to full friction the
       other way; 1 towards the actuator.
     """
 
+    loss: Float[Array, "points rubbing"]
     slip: Float[Array, "points rubbing"]
     path: Float[Array, "points rubbing"]
     direction: Float[Array, "points rubbing"]
@@ -90,10 +92,10 @@ class Friction(eqx.Module):
             return psi_s, d_s
         return jnp.where(self.there, psi_s, 0.0), jnp.where(self.there, d_s, 0.0)
 
-    def after(self, v, u, slip: Float[Array, "points rubbing"]) -> Slid:
-        """What has been, once the rod has come to these strains and slips."""
+    def after(self, v, u, loss, slip: Float[Array, "points rubbing"]) -> Slid:
+        """What has been, once the rod has come to these strains, losses and slips."""
         length, _ = self._path(v, u)
-        return Slid(slip, length, self._direction(length, slip))
+        return Slid(loss, slip, length, self._direction(length, slip))
 
     def _direction(self, length, slip):
         # The mean of what lies beyond a point has a limit at the tendon's end, where slip has none.
@@ -128,7 +130,7 @@ class Friction(eqx.Module):
 def unslid(unloaded: Float[Array, "points rubbing"]) -> Slid:
     """That of a rod which was never loaded, its paths per unit of rod `unloaded`."""
     none = jnp.zeros_like(unloaded)
-    return Slid(none, unloaded, none)
+    return Slid(none, none, unloaded, none)
 
 
 def sliding_throughout(slid: Slid, directions: Float[Array, "rubbing"]) -> Slid:

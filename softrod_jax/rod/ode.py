@@ -119,10 +119,15 @@ class Layout(eqx.Module):
         q, w = (y[..., i:j], y[..., j:k]) if self.dynamic else (None, None)
         return h, q, w, y[..., -self.pair : -self.turn], y[..., -self.turn :]
 
-    def losses_and_slips(self, y: Points) -> tuple[Points, Points]:
-        """(psi, d)."""
+    def losses_and_slips(self, y: Points) -> tuple[Array, Array]:
+        """(psi, d), (*points, rubbing) each."""
         k = self.base_size
         return y[..., k - self.rubbing : k], y[..., k : k + self.rubbing]
+
+    def with_losses_and_slips(self, y: Points, psi, d) -> Points:
+        """The states with others."""
+        k = self.base_size - self.rubbing
+        return y.at[..., k : k + 2 * self.rubbing].set(jnp.concatenate([psi, d], -1))
 
     def split_strain(self, strain: Float[Array, "*points strain"]) -> tuple[Any, Array]:
         """(v, u); None for v where the rod is inextensible."""
@@ -219,8 +224,8 @@ def _pull_by_loss(y, strain, rod, layout, history):
     """See `Jacobian.pull`."""
     k = layout.base_size
     own = slice(k - layout.rubbing, k)
-    pull = lambda psi: -imbalance(
-        pointwise_problem(y.at[..., own].set(psi), rod, layout, history), strain
+    pull = lambda psi: (
+        -imbalance(pointwise_problem(y.at[..., own].set(psi), rod, layout, history), strain)
     )
     return by_each_point(pull, y[..., own])
 
@@ -267,8 +272,8 @@ def slid_after(fields, rod: Rod, layout: Layout) -> Slid | None:
     """How tendons with friction have slid where states and strains at all points are `fields`."""
     if rod.friction is None:
         return None
-    slip = layout.losses_and_slips(fields.y)[1]
-    return rod.friction.after(*_strains(fields.strain, rod, layout), slip)
+    own = layout.losses_and_slips(fields.y)
+    return rod.friction.after(*_strains(fields.strain, rod, layout), *own)
 
 
 def _strains(strain, rod, layout):

@@ -47,7 +47,7 @@ def _tendons(scene: Scene) -> Iterator[Breach]:
     tendons = scene.tendons
     if type(tendons) is not Tendons:
         return
-    for name in ("stiffness", "pretension"):
+    for name in ("stiffness", "pretension", "backlash"):
         each = getattr(tendons, name) or ()
         for i, value in enumerate(each):
             if value is not None and i not in tendons.by_length:

@@ -257,4 +257,6 @@ def _play(scene: Scene):
     if all(x is None for x in own):
         return None
     has = np.array([x is not None for x in own])
-    return has, jnp.stack([jnp.zeros(()) if x is None else jnp.asarray(x, dtype=float) for x in own])
+    return has, jnp.stack(
+        [jnp.zeros(()) if x is None else jnp.asarray(x, dtype=float) for x in own]
+    )

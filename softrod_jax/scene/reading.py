@@ -128,6 +128,8 @@ def _tendons(entries: list) -> Tendons | None:
         control=[table.get("control", "tension") for table in tables],
         stiffness=[table.get("stiffness") for table in tables],
         pretension=[table.get("pretension") for table in tables],
+        friction=[table.get("friction") for table in tables],
+        backlash=[table.get("backlash") for table in tables],
     )
 
 

@@ -211,6 +211,8 @@ TENDON: Schema = {
     "control": Word(CONTROLS),
     "stiffness": Numbers(numbers_of(Tendons)["stiffness"]),
     "pretension": Numbers(numbers_of(Tendons)["pretension"]),
+    "friction": Numbers(numbers_of(Tendons)["friction"]),
+    "backlash": Numbers(numbers_of(Tendons)["backlash"]),
 }
 # The keys of a path, and which fields of its class they are where that is not the same.
 PATHS: dict[str, tuple[type, Schema]] = {

@@ -89,7 +89,7 @@ def _tendons(tendons, file: str) -> list[dict]:
         table |= _of_each(tendons, i, ("starts_at", "ends_at"))
         words = {"guided": "rod", "control": "tension"}
         table |= {k: w for k, usual in words.items() if (w := tendons.words(k)[i]) != usual}
-        table |= _of_each(tendons, i, ("stiffness", "pretension"))
+        table |= _of_each(tendons, i, ("stiffness", "pretension", "friction", "backlash"))
         tables.append(table)
     return tables
 

@@ -132,6 +132,10 @@ class MovingRod(NamedTuple):
             if multipliers is not None and begin.multipliers is not None:
                 multipliers = jnp.where(begun, begin.multipliers, 0.0)
                 guess = guess._replace(multipliers=jax.lax.stop_gradient(multipliers))
+        slid = self._slid_at_first(begin)
+        if slid is not None:
+            own = jax.lax.stop_gradient((slid.loss, slid.slip))
+            guess = guess._replace(y=self.layout.with_losses_and_slips(guess.y, *own))
         still = jnp.zeros((*guess.strain.shape[:-1], self.layout.pair))
         steady = jnp.zeros_like(guess.strain)
         history = History(jnp.ones(()), steady, still)
@@ -140,7 +144,7 @@ class MovingRod(NamedTuple):
         progress = Progress(
             guess=guess,
             multipliers=multipliers,
-            slid=self._slid_at_first(begin),
+            slid=slid,
             loads=loads_of(scaled_loads(self.rod, 0.0)),
             rate=steady,
             history=history,

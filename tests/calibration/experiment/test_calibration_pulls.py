@@ -22,13 +22,15 @@ STIFFNESS, PRETENSION = 150.0, 0.1
 STEPS, DT, NOISE = 48, 0.02, 2e-4
 
 
-def robot(stiffness=STIFFNESS, pretension=PRETENSION, **values):
+def robot(stiffness=STIFFNESS, pretension=PRETENSION, friction=None, backlash=None, **values):
     """Horizontal in a plane, with two tendons above and below."""
     tendons = sr.Tendons(
         [[4e-3, 0.0], [-4e-3, 0.0]],
         control="length",
         stiffness=(stiffness, stiffness),
         pretension=(pretension, pretension),
+        friction=None if friction is None else (friction, friction),
+        backlash=None if backlash is None else (backlash, backlash),
     )
     return as_arrays(
         sr.Scene(
@@ -44,16 +46,17 @@ def robot(stiffness=STIFFNESS, pretension=PRETENSION, **values):
     )
 
 
-def log(seed=0):
-    """The upper tendon is pulled and let go, then the lower one; it begins in equilibrium."""
+def log(seed=0, truth=None):
+    """Of the robot, or another one. The upper tendon is pulled and let go, then the lower one; it begins in equilibrium."""
     times = DT * np.arange(STEPS + 1)
     rise = lambda t: 0.5 - 0.5 * np.cos(np.pi * np.clip(t / 0.1, 0, 1))
     first = 4e-3 * (rise(times - 0.05) - rise(times - 0.3))
     second = 3e-3 * (rise(times - 0.5) - rise(times - 0.7))
     pulls = np.stack([first - second, second - first], axis=1)
     method = SETTINGS["method"]
-    initial = sr.solve_static(robot(), None, None, pulls[0], method=method)
-    motion = sr.simulate(robot(), DT, None, None, pulls[1:], initial=initial, **AS_FITTED)
+    truth = robot() if truth is None else truth
+    initial = sr.solve_static(truth, None, None, pulls[0], method=method)
+    motion = sr.simulate(truth, DT, None, None, pulls[1:], initial=initial, **AS_FITTED)
     noise = NOISE * np.random.default_rng(seed).normal(size=(STEPS + 1, 3)) * [1, 0, 1]
     tip = np.asarray(motion.tip_positions) + noise
     return Recording(times, None, None, tip, name="pulled", starts_hanging=True, pulls=pulls)
@@ -93,6 +96,18 @@ def test_what_the_tendons_are_is_recovered(recording):
         assert np.all((low < truth) & (truth < high) & (high < 1.2 * low)), (name, low, high)
     tendons = found.scene.tendons
     assert tendons.stiffness[0] == tendons.stiffness[1] != 120.0
+
+
+def test_friction_and_play_are_recovered():
+    truth = {"tendon_friction": 0.3, "backlash": 4e-4}
+    scene = lambda friction, backlash: robot(friction=friction, backlash=backlash)
+    recording = log(truth=scene(*truth.values()))
+    found = fit(recording, scene(0.15, 6e-4), tuple(truth))
+    for name, value in truth.items():
+        low, high = (np.asarray(x) for x in found.parameters[name].ci95)
+        assert np.all((low < value) & (value < high) & (high < 1.5 * low)), (name, low, high)
+    own = with_values(Setup(scene(0.3, 0.0)), ("tendon_friction_2",), [np.log(2.0)]).scene.tendons
+    np.testing.assert_allclose(own.friction, [0.3, 0.6])
 
 
 def test_one_number_for_all_tendons_that_have_it():
