@@ -46,7 +46,9 @@ class Parameter:
     def get(self, setup: Setup):
         """The value in `setup`; None if it has none."""
         array = self.find(setup)
-        if isinstance(array, tuple) and self.index is None:
+        if isinstance(array, tuple):
+            if isinstance(self.index, int):
+                return array[self.index]
             numbers = [x for x in array if x is not None]
             return jnp.stack(numbers) if numbers else None
         return array if array is None or self.index is None else array[self.index]

@@ -148,7 +148,7 @@ def _tendons(scene: Scene, grid: Grid, tensions) -> tuple[Array, Array, Array | 
 def _friction(scene: Scene, rod: Rod) -> Friction:
     """Of tendons that have not slid yet."""
     tendons, grid = scene.tendons, rod.grid
-    assert tendons is not None and rod.r is not None, INCOMPLETE
+    assert tendons is not None and tendons.friction is not None and rod.r is not None, INCOMPLETE
     which = rubbing(tendons)
     own = jnp.array(which)
     r_ss, there = tendons.bends(grid.s, scene.length), where_active(scene, grid, tendons)
