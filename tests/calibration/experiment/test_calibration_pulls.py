@@ -47,7 +47,10 @@ def robot(stiffness=STIFFNESS, pretension=PRETENSION, friction=None, backlash=No
 
 
 def log(seed=0, truth=None):
-    """Of the robot, or another one. The upper tendon is pulled and let go, then the lower one; it begins in equilibrium."""
+    """The upper tendon is pulled and let go, then the lower one; it begins in equilibrium.
+
+    `truth`: the robot, where it is another one.
+    """
     times = DT * np.arange(STEPS + 1)
     rise = lambda t: 0.5 - 0.5 * np.cos(np.pi * np.clip(t / 0.1, 0, 1))
     first = 4e-3 * (rise(times - 0.05) - rise(times - 0.3))
@@ -106,7 +109,9 @@ def test_friction_and_play_are_recovered():
     for name, value in truth.items():
         low, high = (np.asarray(x) for x in found.parameters[name].ci95)
         assert np.all((low < value) & (value < high) & (high < 1.5 * low)), (name, low, high)
-    own = with_values(Setup(scene(0.3, 0.0)), ("tendon_friction_2",), [np.log(2.0)]).scene.tendons
+    own = with_values(
+        Setup(scene(0.3, 0.0)), ("tendon_friction_each_2",), [np.log(2.0)]
+    ).scene.tendons
     np.testing.assert_allclose(own.friction, [0.3, 0.6])
 
 

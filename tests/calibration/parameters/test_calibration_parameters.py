@@ -28,6 +28,7 @@ def robot():
         replace(
             scene,
             young_modulus=2e5,
+            tendons=replace(scene.tendons, friction=(0.1, None, None)),
             shear_damping=1e-3,
             shear_correction=0.9,
             payload=sr.Payload(2e-3),
@@ -116,7 +117,8 @@ def test_sensitivities_are_finite_differences(inputs):
     if not inputs:
         scene = replace(scene, tendons=None, chambers=None)
     known, _ = catalogue(scene)
-    others = ("tendon_offset", "tendon_efficiency", "chamber_area")  # the same, all together
+    # The same, all together.
+    others = ("tendon_offset", "tendon_efficiency", "chamber_area", "tendon_friction")
     names = tuple(n for n in known if n not in others)
     assert ("release_duration" in names) == (not inputs)
     if not inputs:
