@@ -61,6 +61,24 @@ def _add_what(parser) -> None:
         "--held-out", metavar="LOG", nargs="+", help="recordings to predict and not to fit"
     )
     parser.add_argument(
+        "--postures",
+        metavar="LOG",
+        nargs="*",
+        help="logs of which each row is an equilibrium, not a moment of a motion",
+    )
+    parser.add_argument(
+        "--prior",
+        metavar="NAME=MEAN:SPREAD",
+        nargs="+",
+        help="with --postures: what is known beforehand, such as density=1070:20",
+    )
+    parser.add_argument(
+        "--folds",
+        type=_count,
+        metavar="N",
+        help="with --postures: keep trials aside in N parts, one after the other, and predict them",
+    )
+    parser.add_argument(
         "--out",
         default=_DEFAULT_OUT,
         metavar="DIR",
@@ -174,6 +192,13 @@ def _add_c3d(c3d) -> None:
 
 
 def run(args) -> int:
+    if args.postures is not None:
+        from calibration.cli.postures import run_postures
+
+        return run_postures(args)
+    for name in ("prior", "folds"):
+        if getattr(args, name) is not None:
+            raise UsageError(f"--{name}: for --postures only; leave it out")
     scene_path, log_paths = (args.scene, args.logs) if args.scene else _example()
     if not log_paths:
         raise UsageError("no recordings: give at least one LOG after the scene")
@@ -181,7 +206,7 @@ def run(args) -> int:
     if out.exists() and not out.is_dir():
         raise UsageError(f"--out {out}: is a file; give a directory")
     # What can be told to be wrong is told before anything is computed.
-    for text, reads in ((args.bounds, _bound), (args.drift, _drift)):
+    for text, reads in ((args.bounds, bound_in), (args.drift, _drift)):
         for part in text or ():
             reads(part)
     prepare_jax()
@@ -229,15 +254,15 @@ def _fitted(args, scene, recordings, held_out, out: Path):
     return calibrate(
         scene,
         recordings,
-        fit=_names(args.fit) or None,
-        per_recording=_names(args.per_recording),
-        bounds=dict(_bound(text) for text in args.bounds or ()),
+        fit=names_in(args.fit) or None,
+        per_recording=names_in(args.per_recording),
+        bounds=dict(bound_in(text) for text in args.bounds or ()),
         held_out=held_out,
         time_offset=not args.no_time_offset,
         optimiser=args.optimiser,
         loss=args.loss,
         starts=args.starts,
-        profiles=_names(args.profile),
+        profiles=names_in(args.profile),
         checks=not args.no_checks,
         explain=args.explain,
         material=args.material,
@@ -251,12 +276,14 @@ def _fitted(args, scene, recordings, held_out, out: Path):
     )
 
 
-def _names(text: str | None) -> tuple[str, ...]:
+def names_in(text: str | None) -> tuple[str, ...]:
+    """Names that are separated by commas."""
     return () if text is None else tuple(x.strip() for x in text.split(","))
 
 
-def _bound(text: str) -> tuple[str, tuple[float, float]]:
-    name, _, range_ = text.partition("=")
+def bound_in(text: str) -> tuple[str, tuple[float, float]]:
+    """NAME=LOW:HIGH."""
+    name, _, range_ = text.rpartition("=")
     try:
         low, high = (float(x) for x in range_.split(":"))
     except ValueError:

@@ -17,6 +17,8 @@ class Setup(eqx.Module):
 
     - `scene`: the robot.
     - `tendon_efficiency` [1], (tendons driven by tension,): tension that arrives / commanded.
+    - `pull_gain` [1] and `pull_offset` [m], (tendons driven by length,): the pull that arrives is
+      gain * commanded + offset, as of a servo's drum and its zero.
     - `release_duration` [s]: how long a hand takes to let go, see `calibration.experiment.release`;
       of recordings without inputs only.
     - `sensor_offset` [m], (3,): the marker seen from the tip, in the tip's own frame.
@@ -29,6 +31,8 @@ class Setup(eqx.Module):
 
     scene: sr.Scene
     tendon_efficiency: Float[Array, "tendons"] | None = None
+    pull_gain: Float[Array, "by_length"] | None = None
+    pull_offset: Float[Array, "by_length"] | None = None
     release_duration: Float[Array, ""] | None = None
     sensor_offset: Float[Array, "3"] | None = None
     payload_offset: Float[Array, "3"] | None = None
@@ -66,9 +70,15 @@ class Setup(eqx.Module):
 
     def arriving(self, inputs: Inputs) -> Inputs:
         """The inputs that reach the robot when `inputs` are commanded."""
-        if inputs.tensions is None or self.tendon_efficiency is None:
-            return inputs
-        return inputs._replace(tensions=self.tendon_efficiency * jnp.asarray(inputs.tensions))
+        if inputs.tensions is not None and self.tendon_efficiency is not None:
+            tensions = self.tendon_efficiency * jnp.asarray(inputs.tensions)
+            inputs = inputs._replace(tensions=tensions)
+        if inputs.pulls is not None:
+            pulls = jnp.asarray(inputs.pulls)
+            pulls = pulls if self.pull_gain is None else self.pull_gain * pulls
+            pulls = pulls if self.pull_offset is None else pulls + self.pull_offset
+            inputs = inputs._replace(pulls=pulls)
+        return inputs
 
 
 def rotated(h: Float[Array, "*#n 4"], a: Float[Array, "*#n 3"]) -> Float[Array, "*#n 3"]:

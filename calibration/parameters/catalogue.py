@@ -188,6 +188,14 @@ def _of_tendons(scene: sr.Scene) -> list[_Entry]:
     for name, key, unit in named:
         remedy = f"[[tendons]] {key}"
         found.append((None, Parameter(name, unit, _part("tendons", key), remedy=remedy)))
+    if by_length := driven["pulls"]:
+        gain, offset = (lambda setup: setup.pull_gain), (lambda setup: setup.pull_offset)
+        ones = _maker(gain, lambda: jnp.ones(by_length))
+        none = _maker(offset, lambda: jnp.zeros(by_length))
+        number = _numbered(by_length)
+        found.append((None, Parameter("pull_gain", "1", gain, make=ones)))
+        found += _group("pull_gain_each", "1", gain, Factor(), number, ones)
+        found += _group("pull_offset", "m", offset, _IN_THE_SECTION, number, none)
     rubs = {str(i + 1): i for i in rubbing(scene.tendons)}
     return found + _group("tendon_friction_each", "1", _part("tendons", "friction"), Factor(), rubs)
 

@@ -12,6 +12,7 @@ import numpy as np
 import softrod_jax as sr
 from calibration.report.granted import taken_for_granted
 from calibration.report.plots import write_plots
+from calibration.report.provenance import provenance
 from calibration.report.remarks import remarks
 from calibration.report.results import Estimate, Fit
 
@@ -30,16 +31,16 @@ def write_report(fit: Fit, out_dir: str | PathLike) -> Path:
     out = Path(out_dir)
     out.mkdir(parents=True, exist_ok=True)
     text = json.dumps(as_json(fit), indent=2, allow_nan=False)
-    _write(out / "parameters.json", text + "\n")
+    write_text(out / "parameters.json", text + "\n")
     pictures = write_plots(fit, out)
-    _write(out / "report.html", _html(fit, pictures))
+    write_text(out / "report.html", _html(fit, pictures))
     sr.save_scene(fit.setup.simulated_scene(), out / "scene.toml")
     if fit.result != "interrupted":
         fit.checkpoint.remove()
     return out
 
 
-def _write(path: Path, text: str) -> None:
+def write_text(path: Path, text: str) -> None:
     """All of it or nothing: a full disk leaves what was there before."""
     partial = path.with_name(path.name + ".new")
     try:
@@ -51,12 +52,7 @@ def _write(path: Path, text: str) -> None:
 
 def summary(fit: Fit) -> str:
     """The parameters and what is left of each recording, as lines of text."""
-    lines = [("parameter", "value", "95 % interval", "initial", "verdict")]
-    for name, e in fit.parameters.items():
-        unit = "" if e.unit == "1" else f" {e.unit}"
-        lines.append((name, _show(e.value) + unit, _interval(e), _show(e.initial), e.verdict))
-    widths = [max(len(line[i]) for line in lines) for i in range(len(lines[0]))]
-    text = ["  ".join(c.ljust(w) for c, w in zip(line, widths, strict=True)) for line in lines]
+    text = as_rows(fit.parameters)
     text += [
         f"{r.name}: {1e3 * r.rmse:.3g} mm rms over {_sampled(r)} samples, "
         f"{r.selection.start:.2f} to {r.selection.end:.2f} s; time offset {r.time_offset:.4f} s"
@@ -65,6 +61,16 @@ def summary(fit: Fit) -> str:
     text += [_predicted(r) for r in fit.held_out]
     text.append(f"intervals take for granted: {', '.join(taken_for_granted(fit))}")
     return "\n".join(line.rstrip() for line in [*text, fit.result])
+
+
+def as_rows(parameters: dict[str, Estimate]) -> list[str]:
+    """The parameters as lines of a table."""
+    lines = [("parameter", "value", "95 % interval", "initial", "verdict")]
+    for name, e in parameters.items():
+        unit = "" if e.unit == "1" else f" {e.unit}"
+        lines.append((name, _show(e.value) + unit, _interval(e), _show(e.initial), e.verdict))
+    widths = [max(len(line[i]) for line in lines) for i in range(len(lines[0]))]
+    return ["  ".join(c.ljust(w) for c, w in zip(line, widths, strict=True)) for line in lines]
 
 
 def _predicted(r) -> str:
@@ -89,35 +95,35 @@ def as_json(fit: Fit) -> dict:
     """
     return {
         "result": fit.result,
-        "parameters": {name: _estimate(e) for name, e in fit.parameters.items()},
+        "parameters": {name: estimate_as_json(e) for name, e in fit.parameters.items()},
         "rmse_m": fit.rmse_m,
         "held_out_rmse_m": {r.name: r.rmse for r in fit.held_out},
         "held_out_rmse_own_frame_m": {r.name: r.rmse_own_frame for r in fit.held_out},
-        "rmse_axes_m": {r.name: _plain(r.rmse_axes) for r in fit.recordings},
+        "rmse_axes_m": {r.name: plain(r.rmse_axes) for r in fit.recordings},
         "samples": {r.name: _sampled(r) for r in fit.recordings},
         "window_s": {r.name: [r.selection.start, r.selection.end] for r in fit.recordings},
         "time_offset_s": fit.time_offset_s,
-        "time_offset_ci95_s": {r.name: _plain(r.time_offset_ci95) for r in fit.recordings},
+        "time_offset_ci95_s": {r.name: plain(r.time_offset_ci95) for r in fit.recordings},
         "drift": {
             r.name: {
-                name: {"edges_s": _plain(d.edges), "values": _plain(d.values)}
+                name: {"edges_s": plain(d.edges), "values": plain(d.values)}
                 for name, d in r.drift.items()
             }
             for r in fit.recordings
             if r.drift
         },
-        "tip_offset_m": {r.name: _plain(r.tip_offset) for r in fit.recordings},
-        "frame_rotation_rad": {r.name: _plain(r.frame_rotation) for r in fit.recordings},
+        "tip_offset_m": {r.name: plain(r.tip_offset) for r in fit.recordings},
+        "frame_rotation_rad": {r.name: plain(r.frame_rotation) for r in fit.recordings},
         "conditions": {r.name: dict(r.recording.conditions) for r in fit.recordings},
-        "correlation": _plain(fit.correlation),
+        "correlation": plain(fit.correlation),
         "samples_of_coordinates": fit.samples,
         "effective_samples": fit.effective_samples,
         "profiles": {
-            label: {"values": _plain(p.values), "excess": _plain(p.excess)}
+            label: {"values": plain(p.values), "excess": plain(p.excess)}
             for label, p in fit.profiles.items()
         },
         "starts": [
-            {"initial": s.initial, "values": s.values, "rms_m": _plain(s.rms), "result": s.result}
+            {"initial": s.initial, "values": s.values, "rms_m": plain(s.rms), "result": s.result}
             for s in fit.starts
         ],
         "explanations": [
@@ -135,38 +141,40 @@ def as_json(fit: Fit) -> dict:
         "intervals": fit.method.intervals,
         "seconds": fit.seconds,
         "remarks": remarks(fit),
+        "made_by": provenance(r.recording.source for r in (*fit.recordings, *fit.held_out)),
     }
 
 
-def _estimate(e: Estimate) -> dict:
+def estimate_as_json(e: Estimate) -> dict:
+    """One parameter, as `as_json` has it."""
     return {
-        "value": _plain(e.value),
-        "ci95": [_plain(end) for end in e.ci95],
-        "initial": _plain(e.initial),
+        "value": plain(e.value),
+        "ci95": [plain(end) for end in e.ci95],
+        "initial": plain(e.initial),
         "unit": e.unit,
         "identifiable": e.identifiable,
         "verdict": e.verdict,
         "recording": e.recording,
-        "step_shift": _plain(e.step_shift),
-        "grid_shift": _plain(e.grid_shift),
+        "step_shift": plain(e.step_shift),
+        "grid_shift": plain(e.grid_shift),
     }
 
 
-def _plain(value):
+def plain(value):
     """Lists and floats; None for what is absent or not a number."""
     if value is None:
         return None
     array = np.asarray(value, dtype=float)
     if array.ndim == 0:
         return float(array) if np.isfinite(array) else None
-    return [_plain(x) for x in array]
+    return [plain(x) for x in array]
 
 
 def _sampled(recording) -> int:
     return int(np.sum(np.any(np.isfinite(recording.measured), axis=1)))
 
 
-_STYLE = """
+STYLE = """
 body { font: 15px/1.5 system-ui, sans-serif; max-width: 60em; margin: 2em auto; padding: 0 1em; }
 table { border-collapse: collapse; margin: 1em 0; }
 th, td { border-bottom: 1px solid #ccc; padding: .3em .8em; text-align: right; }
@@ -178,10 +186,10 @@ img { max-width: 100%; } .no { color: #b00; } li { margin: .4em 0; } small { col
 def _html(fit: Fit, pictures: dict[str, Path]) -> str:
     parts = [
         "<!doctype html><html lang='en'><meta charset='utf-8'><title>Calibration</title>",
-        f"<style>{_STYLE}</style><h1>Calibration</h1>",
+        f"<style>{STYLE}</style><h1>Calibration</h1>",
         f"<p>{_headline(fit)}</p>",
         "<h2>Parameters</h2>",
-        _table(
+        table(
             (
                 "parameter",
                 "value",
@@ -200,7 +208,7 @@ def _html(fit: Fit, pictures: dict[str, Path]) -> str:
         "<h2>Before you use them</h2><ul>",
         *(f"<li>{escape(r)}</li>" for r in remarks(fit) or ["Nothing stands out."]),
         "</ul><h2>Recordings</h2>",
-        _table(
+        table(
             ("recording", "rms [mm]", "x, y, z [mm]", "samples", "window [s]", "time offset [s]"),
             [_recording_row(r) for r in fit.recordings],
         ),
@@ -227,7 +235,7 @@ def _html(fit: Fit, pictures: dict[str, Path]) -> str:
             (name, *(f"{r:+.2f}" for r in row))
             for name, row in zip(names, fit.correlation, strict=True)
         ]
-        parts += ["<h2>Correlations</h2>", _table(("", *names), rows)]
+        parts += ["<h2>Correlations</h2>", table(("", *names), rows)]
     parts += ["<h2>How it was made</h2>", f"<p>{_method(fit)}</p>", "</html>"]
     return "\n".join(parts)
 
@@ -271,7 +279,7 @@ def _held_out(fit: Fit) -> list[str]:
         )
     return [
         "<h2>Predictions of recordings that were kept aside</h2>",
-        _table(head, rows),
+        table(head, rows),
         f"<p><small>{what}</small></p>",
     ]
 
@@ -289,7 +297,7 @@ def _starts(fit: Fit) -> list[str]:
         )
         for k, s in enumerate(fit.starts)
     ]
-    return ["<h2>Starts</h2>", _table(("", "rms [mm]", *names, "result"), rows)]
+    return ["<h2>Starts</h2>", table(("", "rms [mm]", *names, "result"), rows)]
 
 
 def _explanations(fit: Fit) -> list[str]:
@@ -305,7 +313,7 @@ def _explanations(fit: Fit) -> list[str]:
     ]
     return [
         "<h2>What else would explain the residuals</h2>",
-        _table(("if fitted, too", "rms left [mm]", "at about"), rows),
+        table(("if fitted, too", "rms left [mm]", "at about"), rows),
         "<p><small>To first order, one at a time; release_duration by a short fit. A parameter "
         "that takes much away need not be the cause; something that looks like it is missing."
         "</small></p>",
@@ -369,7 +377,8 @@ class Html(str):
     """Text that is HTML; all other text is escaped where it goes into a table."""
 
 
-def _table(head, rows) -> str:
+def table(head, rows) -> str:
+    """An HTML table; text is escaped."""
     shown = lambda cell: cell if isinstance(cell, Html) else escape(cell)
     line = lambda cells, tag: (
         "<tr>" + "".join(f"<{tag}>{shown(c)}</{tag}>" for c in cells) + "</tr>"

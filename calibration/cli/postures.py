@@ -1,0 +1,82 @@
+"""`softrod calibrate --postures`: each row of a log is an equilibrium."""
+
+import os
+from pathlib import Path
+
+from calibration.cli.common import UsageError, prepare_jax
+from calibration.cli.exclusive import alone_in
+
+_FOR_MOTIONS = ("per_recording", "held_out", "resume", "optimiser", "profile", "explain", "dt")
+_FOR_MOTIONS += ("mapping", "condition", "look", "window", "split", "drift", "tolerance")
+
+
+def run_postures(args) -> int:
+    """As `calibration.cli.calibrate.run`."""
+    from calibration.cli.calibrate import bound_in, names_in
+
+    scene_path, logs = _what(args)
+    for name in _FOR_MOTIONS:
+        if getattr(args, name):
+            raise UsageError(f"--{name.replace('_', '-')}: for motions only; leave it out")
+    if not args.fit:
+        raise UsageError("--fit: name what to fit, such as young_modulus,tendons[*].friction")
+    bounds = dict(bound_in(text) for text in args.bounds or ())
+    priors = dict(_prior(text) for text in args.prior or ())
+    out = Path(args.out)
+    if out.exists() and not out.is_dir():
+        raise UsageError(f"--out {out}: is a file; give a directory")
+    import jax
+
+    prepare_jax()
+    # Rows do not wait for each other: all cores work.
+    jax.config.update("jax_num_cpu_devices", os.cpu_count() or 1)
+    import softrod_jax as sr
+
+    try:
+        from calibration.postures.report import posture_summary, write_posture_report
+    except ImportError as e:
+        raise UsageError(f"{e}: pip install 'softrod_jax[calibration]'") from None
+    from calibration.postures.data import joined, load_postures
+    from calibration.postures.fitting import calibrate_postures
+
+    scene = sr.load_scene(scene_path)
+    postures = joined([load_postures(log, scene) for log in logs])
+    method = sr.Collocation() if args.intervals is None else sr.Collocation(args.intervals)
+    out.mkdir(parents=True, exist_ok=True)
+    with alone_in(out):
+        fit = calibrate_postures(
+            scene,
+            postures,
+            fit=names_in(args.fit),
+            priors=priors,
+            bounds=bounds,
+            folds=args.folds,
+            method=method,
+        )
+        write_posture_report(fit, out)
+    if args.json:
+        print((out / "parameters.json").read_text(encoding="utf-8"))
+    else:
+        print(f"{posture_summary(fit)}\nparameters, report and plots are in {out}")
+    return 0
+
+
+def _what(args):
+    """The scene and the logs, wherever the option stands among them."""
+    given = [x for x in (args.scene, *args.logs, *args.postures) if x]
+    scenes = [x for x in given if x.lower().endswith(".toml")]
+    logs = [x for x in given if x not in scenes]
+    if len(scenes) != 1 or not logs:
+        raise UsageError("--postures: give one SCENE.toml, and at least one LOG")
+    return scenes[0], logs
+
+
+def _prior(text: str) -> tuple[str, tuple[float, float]]:
+    name, _, numbers = text.rpartition("=")
+    try:
+        mean, spread = (float(x) for x in numbers.split(":"))
+    except ValueError:
+        raise UsageError(
+            f"--prior {text}: expected NAME=MEAN:SPREAD, such as density=1070:20"
+        ) from None
+    return name.strip(), (mean, spread)

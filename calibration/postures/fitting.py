@@ -1,0 +1,352 @@
+"""`calibrate_postures`: from a scene and postures to fitted numbers with intervals."""
+
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+
+import softrod_jax as sr
+from calibration.experiment.setup import Setup
+from calibration.inference.uncertainty import IDENTIFIED, NOT_IDENTIFIABLE
+from calibration.parameters.catalogue import as_names, catalogue, choose
+from calibration.parameters.paths import is_path
+from calibration.postures.data import Postures
+from calibration.postures.prediction import Evaluation, Model, coarse, parameters_of
+from calibration.report.results import Estimate
+from calibration.search.minimum import CalibrationError
+
+_MOST_EVALUATIONS = 60
+# A search ends where the next step promises less than this part of the loss.
+_CONVERGED = 1e-7
+# Clusters a parameter needs for their scatter to say how uncertain it is.
+_CLUSTERS = 3
+
+
+@dataclass(frozen=True, eq=False)
+class PostureFit:
+    """What fitting postures hands back.
+
+    - `scene`, `setup`: with what was identified; what was not is as it was.
+    - `parameters`: an `Estimate` of each, by name.
+    - `rmse_m` [m]: root mean square distance of all markers; `rmse_by_marker`, by name.
+    - `simulated`, `measured` [m]: (rows, markers, 3) in the order of `markers`; NaN where missing.
+    - `unsolved`: how many rows have no equilibrium.
+    - `noise_scale`: how many times larger residuals are than the noise that was stated.
+    - `conflicts`: priors that the data contradict, by name: how many standard deviations apart.
+    - `held_out_m` [m]: rms of trials that were kept aside in turn; `None` if nobody asked.
+    - `information`, (parameters, parameters): of theta, with priors; `correlation`.
+    """
+
+    scene: sr.Scene
+    setup: Setup
+    parameters: dict[str, Estimate]
+    rmse_m: float
+    rmse_by_marker: dict[str, float]
+    markers: tuple[str, ...]
+    simulated: Float[np.ndarray, "rows markers 3"]
+    measured: Float[np.ndarray, "rows markers 3"]
+    unsolved: int
+    noise_scale: float
+    conflicts: dict[str, float]
+    held_out_m: float | None
+    information: Float[np.ndarray, "parameters parameters"]
+    correlation: Float[np.ndarray, "parameters parameters"]
+    evaluations: int
+    converged: bool
+    seconds: float
+    postures: Postures
+
+
+def calibrate_postures(
+    scene: sr.Scene,
+    postures: Postures,
+    *,
+    fit: Sequence[str] | str,
+    priors: Mapping[str, tuple[float, float]] | None = None,
+    bounds: Mapping[str, tuple[float, float]] | None = None,
+    folds: int | None = None,
+    method: sr.Collocation = sr.Collocation(),  # noqa: B008
+    max_evaluations: int = _MOST_EVALUATIONS,
+) -> PostureFit:
+    """Fit numbers of `scene`, and of the bench around it, so that markers are where they were.
+
+    Each row is an equilibrium; where tendons rub or actuators have play, each is reached from the
+    row before it in its trial, and the first of a trial from the unloaded rod.
+
+    - `fit`: names out of `calibration.parameters.catalogue.catalogue`, or paths of numbers in the
+      scene (`calibration.parameters.paths`). The search starts from their values in the scene.
+    - `priors`: (mean, standard deviation) by name, in the parameter's unit: a weighed mass, a data
+      sheet's modulus. `bounds`: (low, high).
+    - `folds`: keep trials (rows, where there are none) aside in so many parts, one after the other,
+      and predict them.
+    - `method`: the grid along the rod.
+
+    Raises `ValueError` for bad arguments, `CalibrationError` if no row can be solved at the
+    scene's values.
+    """
+    begun = time.perf_counter()
+    model = prepared_model(jax.tree.map(jnp.asarray, scene), postures, fit, method)
+    names = [parameter.name for parameter in model.parameters]
+    priors = _pairs("priors", priors, names)
+    search = _Search(model, priors, _pairs("bounds", bounds, names))
+    theta, best, count, converged = search.run(np.zeros(len(names)), max_evaluations)
+    held_out = None
+    if folds is not None:
+        held_out = _cross_validated(model, search, theta, folds)
+    return _assembled(model, search, theta, best, count, converged, held_out, begun)
+
+
+def prepared_model(scene: sr.Scene, postures: Postures, fit, method: sr.Collocation) -> Model:
+    """The model of what is to be fitted; `method` along the rod. Raises as `calibrate_postures`."""
+    setup, names = _prepared(scene, fit)
+    return Model(setup, postures, parameters_of(setup, names), coarse(method.fitted(scene)))
+
+
+def prior_information(model: Model, priors) -> Float[np.ndarray, "parameters parameters"]:
+    """What priors say, at theta = 0."""
+    names = [parameter.name for parameter in model.parameters]
+    _, J = _Search(model, _pairs("priors", priors, names), {}).prior_rows(np.zeros(len(names)))
+    return J.T @ J
+
+
+def _prepared(scene: sr.Scene, fit) -> tuple[Setup, tuple[str, ...]]:
+    """The setup with a place for everything, and the names, groups replaced by their members."""
+    asked = as_names(fit)
+    if not asked:
+        raise ValueError("fit: no parameters; name at least one")
+    names: list[str] = []
+    for name in asked:
+        names += [name] if is_path(name) else choose(scene, [name])
+    if len(set(names)) < len(names):
+        twice = next(n for n in names if names.count(n) > 1)
+        raise ValueError(f"fit: {twice!r} is named twice; leave one out")
+    setup = Setup(scene)
+    for name in names:
+        if not is_path(name):
+            setup = catalogue(scene)[0][name].prepare(setup)
+    return setup, tuple(names)
+
+
+def _pairs(what: str, given, names) -> dict[str, tuple[float, float]]:
+    """Checked: two finite numbers for each name, the second above zero or above the first."""
+    out = {}
+    for name, pair in (given or {}).items():
+        if name not in names:
+            raise ValueError(f"{what}: {name!r} is not fitted; add it to fit, or leave it out")
+        first, second = (float(x) for x in pair)
+        least = 0.0 if what == "priors" else first
+        if not (np.isfinite(first) and least < second < np.inf):
+            meant = "(mean, standard deviation)" if what == "priors" else "(low, high)"
+            raise ValueError(f"{what}: {name} = {pair!r}; expected {meant}")
+        out[name] = (first, second)
+    return out
+
+
+@dataclass(frozen=True, eq=False)
+class _Search:
+    """Levenberg and Marquardt's method for the residuals of a model and its priors."""
+
+    model: Model
+    priors: dict[str, tuple[float, float]]
+    bounds: dict[str, tuple[float, float]]
+
+    def run(self, theta, most: int):
+        """theta, the evaluation there, how many there were, and whether the search converged."""
+        model = self.model
+        best = model.evaluate(theta)
+        if not np.any(best.solved):
+            raise CalibrationError(
+                "postures: no row has an equilibrium at the scene's values; see the inputs' units "
+                "and signs, and `softrod solve` for one of them"
+            )
+        count, damping, converged = 1, 1e-3, False
+        loss, J, r = self._system(theta, best)
+        while count < most and not converged:
+            H, g = J.T @ J, J.T @ r
+            step = -np.linalg.solve(H + damping * np.diag(np.diag(H) + 1e-12), g)
+            tried = self._inside(theta + np.clip(step, -2.0, 2.0))
+            promise = -(g @ (tried - theta)) - 0.5 * np.sum((J @ (tried - theta)) ** 2)
+            if promise <= _CONVERGED * loss:
+                converged = True
+                break
+            new = model.evaluate(tried)
+            count += 1
+            new_loss, new_J, new_r = self._system(tried, new)
+            if new_loss < loss:
+                theta, best, loss, J, r = tried, new, new_loss, new_J, new_r
+                damping = max(damping / 10, 1e-9)
+            else:
+                damping *= 10
+                converged = damping > 1e9
+        return theta, best, count, converged
+
+    def _system(self, theta, evaluation: Evaluation):
+        """Half the sum of squares, the Jacobian, and all residuals, those of priors last."""
+        r, J = self.prior_rows(theta)
+        residuals = np.concatenate([evaluation.residuals.ravel(), r])
+        jacobian = np.concatenate([evaluation.jacobian.reshape(-1, len(theta)), J])
+        return 0.5 * float(residuals @ residuals), jacobian, residuals
+
+    def prior_rows(self, theta):
+        """(value - mean) / standard deviation, and the derivatives."""
+        names = [p.name for p in self.model.parameters]
+        r, J = np.zeros(len(self.priors)), np.zeros((len(self.priors), len(theta)))
+        for k, (name, (mean, spread)) in enumerate(self.priors.items()):
+            i = names.index(name)
+            value = self._value(i)
+            r[k] = (float(value(theta[i])) - mean) / spread
+            J[k, i] = float(jax.grad(value)(float(theta[i]))) / spread
+        return r, J
+
+    def _value(self, i: int):
+        """The mean of what a parameter stands for, as a function of theta."""
+        parameter = self.model.parameters[i]
+        initial = parameter.get(self.model.setup)
+        return lambda theta: jnp.mean(jnp.asarray(parameter.scale.value(initial, theta)))
+
+    def _inside(self, theta):
+        for i, parameter in enumerate(self.model.parameters):
+            low, high = -parameter.scale.largest, parameter.scale.largest
+            if parameter.name in self.bounds:
+                initial = np.asarray(parameter.get(self.model.setup))
+                ends = [parameter.scale.theta(initial, x) for x in self.bounds[parameter.name]]
+                low, high = max(low, ends[0]), min(high, ends[1])
+            theta[i] = np.clip(theta[i], low, high)
+        return theta
+
+
+def _cross_validated(model: Model, search: _Search, theta, folds: int) -> float:
+    """The rms distance [m] of rows that a fit has not seen."""
+    labels = model.postures.labels
+    if len(set(labels.tolist())) < folds:
+        labels = np.arange(model.postures.rows).astype(str)
+    names = np.array(list(dict.fromkeys(labels.tolist())))
+    np.random.default_rng(0).shuffle(names)
+    squares, points = 0.0, 0
+    for part in np.array_split(names, folds):
+        aside = np.isin(labels, part)
+        seen = replace(model, postures=model.postures.take(~aside))
+        own, *_ = replace(search, model=seen).run(theta.copy(), _MOST_EVALUATIONS)
+        unseen = replace(model, postures=model.postures.take(aside))
+        apart, has = _distances(unseen, unseen.evaluate(own))
+        squares, points = squares + float(np.sum(apart[has] ** 2)), points + int(np.sum(has))
+    return float(np.sqrt(squares / points))
+
+
+def _distances(model: Model, evaluation: Evaluation):
+    """Distances [m], (rows, markers), and where they were measured in full and solved."""
+    target = model.targets
+    has = np.all(np.asarray(target.has_position), -1) & evaluation.solved[:, None]
+    apart = np.asarray(evaluation.seen.positions) - np.asarray(target.positions)
+    return np.linalg.norm(apart, axis=-1), has
+
+
+def _assembled(model, search, theta, best, count, converged, held_out, begun) -> PostureFit:
+    p = len(theta)
+    r, J = best.residuals, best.jacobian
+    prior_r, prior_J = search.prior_rows(theta)
+    numbers = int(np.sum(np.any(J != 0, -1) | (r != 0)))
+    freedom = max(numbers + len(prior_r) - p, 1)
+    scale = np.sqrt(np.sum(r**2) / max(numbers - p, 1))
+    # What is stated of noise is relative: how large it is the residuals tell. Priors are absolute.
+    weight = 1.0 / max(scale, 1e-12) ** 2
+    flat = J.reshape(-1, p)
+    information = weight * flat.T @ flat + prior_J.T @ prior_J
+    vague = np.diag([(2.0 / x.scale.largest) ** 2 for x in model.parameters])
+    covariance = np.linalg.inv(information + vague)
+    errors = np.sqrt(np.diag(covariance))
+    errors = np.maximum(errors, _by_clusters(model, r, J, weight, covariance))
+    quantile = _student(freedom)
+    estimates, identified = {}, theta.copy()
+    for i, parameter in enumerate(model.parameters):
+        initial = np.asarray(parameter.get(model.setup))
+        value = lambda t, s=parameter.scale, x=initial: _plain(s.value(x, t))
+        low, high = theta[i] - quantile * errors[i], theta[i] + quantile * errors[i]
+        known = high - low < parameter.scale.identified
+        if not known:
+            identified[i] = np.clip(0.0, low, high)
+        estimates[parameter.name] = Estimate(
+            name=parameter.name,
+            recording=None,
+            value=value(theta[i]),
+            ci95=(value(low), value(high)),
+            initial=_plain(initial),
+            unit=parameter.unit,
+            verdict=IDENTIFIED if known else NOT_IDENTIFIABLE,
+            standard_error=float(errors[i]),
+            step_shift=None,
+            grid_shift=None,
+        )
+    apart, has = _distances(model, best)
+    of = lambda a, h: float(np.sqrt(np.mean(a[h] ** 2))) if np.any(h) else float("nan")
+    setup = model.at(identified)
+    target = model.targets
+    blank = lambda x, there: np.where(there, np.asarray(x), np.nan)
+    return PostureFit(
+        scene=setup.scene,
+        setup=setup,
+        parameters=estimates,
+        rmse_m=of(apart, has),
+        rmse_by_marker={n: of(apart[:, j], has[:, j]) for j, n in enumerate(model.markers)},
+        markers=model.markers,
+        simulated=blank(best.seen.positions, best.solved[:, None, None]),
+        measured=blank(target.positions, np.asarray(target.has_position)),
+        unsolved=int(np.sum(~best.solved)),
+        noise_scale=float(scale),
+        conflicts=_conflicts(search, theta, weight * flat.T @ flat),
+        held_out_m=held_out,
+        information=information,
+        correlation=covariance / np.outer(*[np.sqrt(np.diag(covariance))] * 2),
+        evaluations=count,
+        converged=converged,
+        seconds=time.perf_counter() - begun,
+        postures=model.postures,
+    )
+
+
+def _by_clusters(model: Model, r, J, weight: float, covariance):
+    """Standard errors from the scatter of whole trials, whose residuals belong together; 0 where
+    there are too few."""
+    labels, p = model.postures.labels, J.shape[-1]
+    names = list(dict.fromkeys(labels.tolist()))
+    if len(names) < _CLUSTERS * p:
+        return np.zeros(p)
+    scores = np.einsum("knp,kn->kp", J, r) * weight
+    sums = np.stack([scores[labels == name].sum(0) for name in names])
+    meat = sums.T @ sums * len(names) / (len(names) - p)
+    return np.sqrt(np.diag(covariance @ meat @ covariance))
+
+
+def _conflicts(search: _Search, theta, information) -> dict[str, float]:
+    """Priors from which the data alone would be over three standard deviations away."""
+    if not search.priors:
+        return {}
+    names = [x.name for x in search.model.parameters]
+    r, J = search.prior_rows(theta)
+    out = {}
+    for k, name in enumerate(search.priors):
+        others = np.delete(np.arange(len(r)), k)
+        without = information + J[others].T @ J[others] + 1e-12 * np.eye(len(theta))
+        i = names.index(name)
+        spread = J[k, i] * np.sqrt(np.linalg.inv(without)[i, i])
+        # What is left of the pull of a prior tells how far the data alone would be.
+        apart = abs(r[k]) * (1 + spread**2) / np.sqrt(1 + spread**2)
+        if apart > 3.0:
+            out[name] = float(apart)
+    return out
+
+
+def _student(freedom: float) -> float:
+    """The 97.5 % quantile of Student's t (Cornish and Fisher 1938)."""
+    z = 1.959963984540054
+    return z + (z**3 + z) / (4 * max(freedom, 2.0))
+
+
+def _plain(value) -> Any:
+    value = np.asarray(value)
+    return float(value) if value.ndim == 0 else value

@@ -1,0 +1,225 @@
+"""Where markers are in the equilibria of a setup, and how far that is from what was measured."""
+
+import functools
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float
+
+import softrod_jax as sr
+from calibration.experiment.setup import Setup, rotated
+from calibration.parameters.catalogue import Parameter, catalogue
+from calibration.parameters.paths import is_path, path_parameter
+from calibration.postures.data import NOISE, TURN, Postures
+from softrod_jax.scene.inputs import Inputs
+from softrod_jax.scene.tendons import rubbing
+
+# Grids that a search passes may be coarse: the error along the rod counts at its end.
+_ANY_ERROR = 0.1
+# What a row without an equilibrium counts for, in lengths of the rod.
+_FAILED = 0.5
+
+
+class Seen(NamedTuple):
+    """Markers in the order of their names: positions [m] and quaternions, and a code."""
+
+    positions: Float[Array, "markers 3"]
+    quaternions: Float[Array, "markers 4"]
+    result: Array
+    error: Array
+
+
+class Targets(NamedTuple):
+    """What was measured, with zeros where it was not; the same order."""
+
+    positions: Float[Array, "rows markers 3"]
+    quaternions: Float[Array, "rows markers 4"]
+    has_position: Bool[Array, "rows markers 3"]
+    has_attitude: Bool[Array, "rows markers"]
+
+
+@dataclass(frozen=True, eq=False)
+class Evaluation:
+    """At one place theta: residuals in terms of the noise, (rows, numbers), zero where nothing was
+    measured, their derivatives, and what was seen, with a first axis of rows."""
+
+    residuals: Float[np.ndarray, "rows numbers"]
+    jacobian: Float[np.ndarray, "rows numbers parameters"]
+    seen: Any
+
+    @property
+    def solved(self) -> Bool[np.ndarray, "rows"]:
+        return np.asarray(self.seen.result) == int(sr.RESULTS.successful)
+
+
+@dataclass(frozen=True, eq=False)
+class Model:
+    """A setup, postures and the parameters that are sought: from theta to an `Evaluation`.
+
+    `followed`: whether rows are on a path of inputs, each reached from the one before it in its
+    trial, as where tendons rub or actuators have play.
+    """
+
+    setup: Setup
+    postures: Postures
+    parameters: tuple[Parameter, ...]
+    method: sr.Collocation
+
+    @property
+    def followed(self) -> bool:
+        tendons = self.setup.scene.tendons
+        return bool(rubbing(tendons)) or getattr(tendons, "backlash", None) is not None
+
+    @cached_property
+    def markers(self) -> tuple[str, ...]:
+        names = {**self.postures.positions, **self.postures.quaternions}
+        return tuple(names)
+
+    @cached_property
+    def targets(self) -> Targets:
+        rows, m = self.postures.rows, len(self.markers)
+        p, q = np.full((rows, m, 3), np.nan), np.full((rows, m, 4), np.nan)
+        for j, name in enumerate(self.markers):
+            p[:, j] = self.postures.positions.get(name, np.nan)
+            q[:, j] = self.postures.quaternions.get(name, np.nan)
+        has, turned = np.isfinite(p), np.all(np.isfinite(q), -1)
+        q = np.where(turned[..., None], q, [1.0, 0.0, 0.0, 0.0])
+        q = q / np.linalg.norm(q, axis=-1, keepdims=True)
+        return Targets(*map(jnp.asarray, (np.nan_to_num(p), q, has, turned)))
+
+    @cached_property
+    def noise(self) -> Float[np.ndarray, "markers"]:
+        return np.array([self.postures.noise.get(name, NOISE) for name in self.markers])
+
+    def at(self, theta) -> Setup:
+        """The setup with the parameters at theta."""
+        return moved(self.setup, self.parameters, theta)
+
+    def evaluate(self, theta: Float[np.ndarray, "parameters"]) -> Evaluation:
+        """Residuals and derivatives of all rows, on all devices."""
+        program = _program(self._names, self.markers, self.method, self.followed)
+        rows, order = self.postures.rows, None
+        samples = self._inputs, self.targets, jnp.ones(rows, bool)
+        if self.followed:
+            order, samples = self._trials
+        count = samples[2].shape[0]
+        same = lambda x: jnp.broadcast_to(jnp.asarray(x), (count, *jnp.shape(x)))
+        shared = jax.tree.map(same, (jnp.asarray(theta), self.setup, jnp.asarray(self.noise)))
+        out = program(*shared, *samples)
+        if order is not None:
+            there, back = np.asarray(samples[2]).ravel(), np.argsort(order)
+            flat = lambda x: np.asarray(x).reshape(-1, *x.shape[2:])[there][back]
+            out = jax.tree.map(flat, out)
+        residuals, jacobian, seen = jax.tree.map(np.asarray, out)
+        return Evaluation(residuals, jacobian, seen)
+
+    @property
+    def _names(self) -> tuple[str, ...]:
+        return tuple(parameter.name for parameter in self.parameters)
+
+    @cached_property
+    def _inputs(self) -> Inputs:
+        return Inputs(*(None if x is None else jnp.asarray(x) for x in self.postures.inputs))
+
+    @cached_property
+    def _trials(self):
+        """The rows trial by trial, and their inputs and targets, padded to the same length."""
+        labels = self.postures.labels
+        trials = [np.flatnonzero(labels == x) for x in dict.fromkeys(labels.tolist())]
+        longest = max(len(rows) for rows in trials)
+        # The last row again costs next to nothing.
+        index = np.stack([np.append(r, np.full(longest - len(r), r[-1])) for r in trials])
+        there = np.stack([np.arange(longest) < len(r) for r in trials])
+        blocks = jax.tree.map(lambda x: x[index], (self._inputs, self.targets))
+        return np.concatenate(trials), (*blocks, jnp.asarray(there))
+
+
+def moved(setup: Setup, parameters: tuple[Parameter, ...], theta) -> Setup:
+    """The setup with the parameters at theta."""
+    for parameter, coordinate in zip(parameters, theta, strict=True):
+        value = parameter.scale.value(parameter.get(setup), coordinate)
+        setup = parameter.put(setup, value)
+    return setup
+
+
+def parameters_of(setup: Setup, names: tuple[str, ...]) -> tuple[Parameter, ...]:
+    """Those of these names, which may be paths."""
+    known, _ = catalogue(setup.scene)
+    return tuple(path_parameter(setup.scene, n) if is_path(n) else known[n] for n in names)
+
+
+@functools.cache
+def _program(names, markers, method, followed: bool):
+    """The program that all models share whose numbers alone differ: of one row, or of a path.
+
+    It maps theta, setup, noise, inputs, targets and whether a row is there to residuals,
+    derivatives and what was seen.
+    """
+
+    def one(theta, setup, noise, inputs, target, there):
+        parameters = parameters_of(setup, names)
+
+        def compared(theta):
+            here = moved(setup, parameters, theta)
+            scene = here.simulated_scene()
+            given: Any = here.arriving(inputs)
+            if not followed:
+                solution = sr.solve_static(scene, *given, method=method, throw=False)
+                seen = _seen(here, solution, markers)
+                return _residual(seen, target, noise, scene.length), seen
+            path = sr.solve_path(scene, *given, method=method, throw=False)
+            seen = jax.vmap(lambda solution: _seen(here, solution, markers))(path)
+            residual = lambda seen, target: _residual(seen, target, noise, scene.length)
+            return jnp.where(there[:, None], jax.vmap(residual)(seen, target), 0.0), seen
+
+        return _with_jacobian(compared, theta)
+
+    return sr.spread(one)
+
+
+def _seen(setup: Setup, solution, markers) -> Seen:
+    poses = [solution.markers[name] for name in markers]
+    positions = jnp.stack([pose.position for pose in poses])
+    quaternions = jnp.stack([pose.quaternion for pose in poses])
+    if setup.sensor_offset is not None and "tip" in markers:
+        tip = markers.index("tip")
+        at = positions[tip] + rotated(quaternions[tip], setup.sensor_offset)
+        positions = positions.at[tip].set(at)
+    return Seen(positions, quaternions, solution.result, solution.stats["error"])
+
+
+def _residual(seen: Seen, target: Targets, noise, length) -> Float[Array, "numbers"]:
+    """Of one row, simulated minus measured, in terms of the noise."""
+    failed = seen.result != sr.RESULTS.successful
+    apart = jnp.where(failed, 0.0, seen.positions - target.positions)
+    apart = jnp.where(target.has_position, apart, 0.0) / noise[:, None]
+    lost = jax.lax.stop_gradient(_FAILED * length) / noise[:, None]
+    apart = jnp.where(failed & target.has_position, lost, apart)
+    turn = jax.vmap(_turn_between)(target.quaternions, seen.quaternions) / TURN
+    turn = jnp.where(target.has_attitude[:, None] & ~failed, turn, 0.0)
+    return jnp.concatenate([apart.ravel(), turn.ravel()])
+
+
+def _with_jacobian(compared, theta):
+    """Residuals, their forward derivatives and what was seen."""
+    doubled = lambda theta: (lambda r, seen: (r, (r, seen)))(*compared(theta))
+    jacobian, (residual, seen) = jax.jacfwd(doubled, has_aux=True)(theta)
+    return residual, jacobian, seen
+
+
+def _turn_between(a: Float[Array, "4"], b: Float[Array, "4"]) -> Float[Array, "3"]:
+    """The small rotation vector [rad] from attitude `a` to `b`, in the base frame."""
+    w = b[0] * a[0] + jnp.dot(b[1:], a[1:])
+    r = -b[0] * a[1:] + a[0] * b[1:] - jnp.cross(b[1:], a[1:])
+    return 2.0 * jnp.where(w < 0, -1.0, 1.0) * r
+
+
+def coarse(method: sr.Collocation) -> sr.Collocation:
+    """The grid for a search: one that is too coarse somewhere is no failure."""
+    return sr.Collocation(
+        method.intervals, method.order, max(method.max_error, _ANY_ERROR), method.division
+    )
