@@ -13,6 +13,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from softrod_jax.rod.constraint import AbstractConstraint
+from softrod_jax.rod.fibres import Fibres
 from softrod_jax.rod.grid import Grid
 from softrod_jax.scene.acting import AbstractDistributedLoad, AbstractEnergy
 from softrod_jax.scene.planes import in_space, turn_in, vector_in
@@ -49,6 +50,7 @@ class Rod(eqx.Module):
     - `n_ch`* [N], `m_ch`* [N m]: (3,), body frame: -dW_act/d(v, u) of the chambers, or None.
     - `payload` [kg] or None; `gravity` [m/s^2] or None; `F_tip` [N], `M_tip` [N m] or None.
     - `at_gaps`: loads and masses along the rod.
+    - `fibres`*: of rubber, or None; `K_se` and `K_bt` are then their stiffness at small strain.
     - `material`, `energies`, `distributed_loads`: those of users, at arc lengths `s`* [m]; the last
       two times `load_factor`.
     - `constraint`: conditions on the whole rod, whose multipliers act on it.
@@ -83,6 +85,7 @@ class Rod(eqx.Module):
     F_tip: Float[Array, "vector"] | None = None
     M_tip: Float[Array, "turn"] | None = None
     at_gaps: tuple[PointLoad, ...] | None = None
+    fibres: Fibres | None = None
     material: AbstractEnergy | None = None
     energies: Sequence[AbstractEnergy] | None = None
     distributed_loads: Sequence[AbstractDistributedLoad] | None = None
@@ -111,7 +114,8 @@ class Rod(eqx.Module):
     @property
     def explicit_strains(self) -> bool:
         """Whether the energy is quadratic: strains then follow without iterations."""
-        return self.tau is None and self.material is None and self.energies is None
+        own = (self.tau, self.fibres, self.material, self.energies)
+        return all(x is None for x in own)
 
     @property
     def reach(self) -> Scalar:
@@ -137,12 +141,19 @@ class Rod(eqx.Module):
 
     def map_points(self, function) -> "Rod":
         """The rod with `function` of everything that varies along it: (points, ...) to (m, ...)."""
-        own = {name: getattr(self, name) for name in _AXES}
+        own = {name: _find(self, name) for name in _AXES}
         names = [n for n, x in own.items() if x is not None and x.ndim > _AXES[n]]
         if not names:
             return self
-        pick = lambda rod: [getattr(rod, name) for name in names]
+        pick = lambda rod: [_find(rod, name) for name in names]
         return eqx.tree_at(pick, self, [function(x) for x in pick(self)])
+
+
+def _find(rod: Rod, name: str):
+    """A number of the rod, or of a part of it; `None` where there is none."""
+    owner, _, part = name.rpartition(".")
+    owner = getattr(rod, owner) if owner else rod
+    return None if owner is None else getattr(owner, part)
 
 
 # How many axes what may vary has where it does not.
@@ -150,6 +161,7 @@ _AXES = {
     **dict.fromkeys(("K_se", "K_bt", "v_star", "u_star", "rho_A", "rho_J", "B_se", "B_bt", "C"), 1),
     **dict.fromkeys(("weight", "tau", "front_viscosity", "n_ch", "m_ch"), 1),
     **dict.fromkeys(("r", "r_s"), 2),
+    **{"fibres.constants": 1, "fibres.disks": 2, "fibres.boxes": 2},
     "s": 0,
 }
 

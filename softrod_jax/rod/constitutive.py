@@ -25,6 +25,7 @@ from jaxtyping import Array, Bool, Float
 
 from softrod_jax.rod.constants import Rod, Scalar
 from softrod_jax.rod.energies import AbstractTerm, Density, TendonPull
+from softrod_jax.rod.fibres import FibreEnergy, Fibres
 from softrod_jax.rod.rotations import cross
 
 # (v, u), or u where v is given: 6, 3, or in a plane 3 and 1 numbers.
@@ -104,6 +105,8 @@ def _terms(rod: Rod, c0: Scalar | None, strain_history: Strain | None) -> tuple[
             l_h = pull.linear_paths(strain_history)
             pull = TendonPull(rod.tau, rod.r, rod.r_s, v, rod.front_viscosity * rod.tau, c0, l_h)
         terms.append(pull)
+    if rod.fibres is not None:
+        terms.append(_fibre_energy(rod, rod.fibres))
     if rod.s is None:
         return tuple(terms)
     if rod.material is not None:
@@ -111,6 +114,12 @@ def _terms(rod: Rod, c0: Scalar | None, strain_history: Strain | None) -> tuple[
     for energy in rod.energies or ():
         terms.append(Density(energy, rod.s, rod.reach, rod.load_factor, v, rod.plane))
     return tuple(terms)
+
+
+def _fibre_energy(rod: Rod, fibres: Fibres) -> FibreEnergy:
+    stretches = rod.K_se is not None
+    rest = joined(rod.v_star, rod.u_star) if stretches else rod.u_star
+    return FibreEnergy(fibres, rest, rod.reach, stretches, rod.plane)
 
 
 def joined(a, b):
@@ -159,6 +168,11 @@ def shortest_path(rod: Rod, strain: Strain):
     _, length = TendonPull(rod.tau, rod.r, rod.r_s, v).paths(strain)
     # A tendon that is not there may have any.
     return jnp.min(length if rod.tau.ndim == 1 else jnp.where(rod.tau > 0.0, length, jnp.inf))
+
+
+def least_fibre_stretch(rod: Rod, strain: Strain) -> Float[Array, "*points"] | None:
+    """The least stretch of a fibre of rubber at each point; `None` where there are none."""
+    return None if rod.fibres is None else _fibre_energy(rod, rod.fibres).least_stretch(strain)
 
 
 def imbalance(problem: LocalProblem, x: Strain) -> Strain:

@@ -20,6 +20,7 @@ from softrod_jax.rod.grid import (
     places_of,
     uniform_grid,
 )
+from softrod_jax.scene.acting import AbstractEnergy
 from softrod_jax.scene.inputs import Inputs
 from softrod_jax.scene.planes import about_normal, angle_in, turn_in, vector_in
 from softrod_jax.scene.scene import Scene
@@ -58,7 +59,8 @@ def make_rod(
     if not no_tendons and spread_fronts and body.K_se is not None:
         front = _FRONT_VISCOSITY * grid.widest**2 * body.rho_A / body.K_se[..., 2:]
     gravity, load = vector_in(plane, scene.gravity), scene.tip_load
-    own, one = (scene.material, scene.energies, scene.distributed_loads), jnp.ones(())
+    one, own = jnp.ones(()), (scene.energies, scene.distributed_loads)
+    material = scene.material if isinstance(scene.material, AbstractEnergy) else None
     rod = Rod(
         grid=grid,
         K_se=K_se,
@@ -85,11 +87,12 @@ def make_rod(
         F_tip=None if load is None else vector_in(plane, load.force),
         M_tip=None if load is None else turn_in(plane, load.moment),
         at_gaps=_point_loads(scene, grid),
-        material=scene.material,
+        fibres=body.fibres,
+        material=material,
         energies=scene.energies,
         distributed_loads=scene.distributed_loads,
         load_factor=None if scene.energies is None and scene.distributed_loads is None else one,
-        s=None if all(x is None for x in own) else grid.s,
+        s=None if all(x is None for x in (material, *own)) else grid.s,
         plane=plane,
     )
     if pulls is not None:

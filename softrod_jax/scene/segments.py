@@ -13,6 +13,8 @@ from softrod_jax.foundation.numbers import (
     ScalarLike,
     VectorLike,
 )
+from softrod_jax.scene.acting import AbstractEnergy
+from softrod_jax.scene.materials import AbstractRubber
 from softrod_jax.scene.ranges import number
 from softrod_jax.scene.sections import Section
 
@@ -39,6 +41,7 @@ class Segment(eqx.Module):
     - `length` [m]; `section`: at its beginning, and throughout where there is no `section_at_end`,
       to which the dimensions change linearly (the same shape).
     - The others as in `Scene`, for this segment. What is `None` here is as the scene says.
+    - `material`: `NeoHookean` or `MooneyRivlin`; a law of one's own is the scene's.
     - `intervals` of the grid; chosen where `None`.
     """
 
@@ -49,6 +52,7 @@ class Segment(eqx.Module):
     poisson_ratio: Maybe[ScalarLike] = number(optional=True, above=-1, below=0.5)
     density: Maybe[ScalarLike] = number("kg/m^3", optional=True, above=0, harmless=1.0)
     stiffness: Stiffness | None = None
+    material: AbstractEnergy | AbstractRubber | None = None
     linear_density: Maybe[ScalarLike] = number("kg/m", optional=True, above=0, harmless=1.0)
     bending_damping: Maybe[DiagonalLike] = number("N m^2 s", **DAMPING)
     shear_damping: Maybe[DiagonalLike] = number("N s", **DAMPING)
