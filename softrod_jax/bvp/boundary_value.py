@@ -156,7 +156,9 @@ def slow_unless(ok, history: History) -> History:
 
     Where a sample has failed, derivatives may overflow, and 0 * inf is NaN in the reverse pass.
     """
-    rest = History(1.0, 0.0, 0.0)  # pyright: ignore[reportArgumentType]  # in the place of arrays
+    none = None if history.crept is None else 0.0
+    # In the place of arrays.
+    rest = History(1.0, 0.0, 0.0, none)  # pyright: ignore[reportArgumentType]
     return jax.tree.map(lambda x, slow: jnp.where(ok, x, slow), history, rest)
 
 

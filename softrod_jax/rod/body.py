@@ -13,6 +13,7 @@ from jaxtyping import Array, Float
 from softrod_jax.rod.energies import stiffness_at_rest
 from softrod_jax.rod.fibres import BOX, DISK, Fibres, fibres_of
 from softrod_jax.rod.grid import Grid, division_of, ends_of_parts
+from softrod_jax.rod.relaxation import Relaxation
 from softrod_jax.scene.acting import AbstractEnergy
 from softrod_jax.scene.materials import AbstractRubber
 from softrod_jax.scene.scene import Scene
@@ -35,6 +36,7 @@ class Body(NamedTuple):
     B_bt: Array | None
     C: Array | None
     fibres: Fibres | None = None
+    relaxation: Relaxation | None = None
 
 
 def body_along(scene: Scene, grid: Grid) -> Body:
@@ -54,7 +56,9 @@ def body_along(scene: Scene, grid: Grid) -> Body:
         )
         values = [getattr(body, name) for body in bodies]
         chosen[name] = _selected(values, number) if own else values[0]
-    return Body(**chosen, fibres=_fibres_along([body.fibres for body in bodies], number))
+    fibres = _fibres_along([body.fibres for body in bodies], number)
+    relaxation = _relaxation_along([body.relaxation for body in bodies], number)
+    return Body(**chosen, fibres=fibres, relaxation=relaxation)
 
 
 # From what segments may share it follows; those of sections and materials differ.
@@ -85,7 +89,7 @@ def _body(segment: Segment, x: Float[Array, "points"], scene: Scene) -> Body:
     else:
         K_se, K_bt, rho_A, rho_J = jax.vmap(at)(x)
     v_star, u_star = segment.rest_strain
-    fibres = None
+    fibres, branches = None, segment.relaxation
     if isinstance(segment.material, AbstractRubber):
         constants = segment.material.constants
         of_section = lambda x: fibres_of(segment.section_at(x), constants)
@@ -102,6 +106,7 @@ def _body(segment: Segment, x: Float[Array, "points"], scene: Scene) -> Body:
         B_bt=_diagonal(segment.bending_damping),
         C=_diagonal(segment.drag_coefficient),
         fibres=fibres,
+        relaxation=None if branches is None else Relaxation(branches[:, 0], branches[:, 1]),
     )
 
 
@@ -145,6 +150,20 @@ def _fibres_along(fibres: list[Fibres | None], number) -> Fibres | None:
 
     constants = _chosen([jnp.zeros(2) if x is None else x.constants for x in fibres], number)
     return Fibres(constants, selected("disks", DISK), selected("boxes", BOX))
+
+
+def _relaxation_along(relaxations: list[Relaxation | None], number) -> Relaxation | None:
+    """That of all segments; one with fewer branches has others that are no part of it."""
+    known = [x for x in relaxations if x is not None]
+    if not known:
+        return None
+    most = max(x.parts.shape[-1] for x in known)
+    filled = []
+    for x in relaxations:
+        parts, times = (jnp.zeros(0), jnp.zeros(0)) if x is None else (x.parts, x.times)
+        more = (0, most - parts.shape[-1])
+        filled.append((jnp.pad(parts, more), jnp.pad(times, more, constant_values=1.0)))
+    return Relaxation(*(_chosen(list(each), number) for each in zip(*filled)))
 
 
 def _stiffness_and_mass(segment: Segment, section, scene: Scene):

@@ -15,6 +15,7 @@ from jaxtyping import Array, Float
 from softrod_jax.rod.constraint import AbstractConstraint
 from softrod_jax.rod.fibres import Fibres
 from softrod_jax.rod.grid import Grid
+from softrod_jax.rod.relaxation import Relaxation
 from softrod_jax.scene.acting import AbstractDistributedLoad, AbstractEnergy
 from softrod_jax.scene.planes import in_space, turn_in, vector_in
 
@@ -51,6 +52,7 @@ class Rod(eqx.Module):
     - `payload` [kg] or None; `gravity` [m/s^2] or None; `F_tip` [N], `M_tip` [N m] or None.
     - `at_gaps`: loads and masses along the rod.
     - `fibres`*: of rubber, or None; `K_se` and `K_bt` are then their stiffness at small strain.
+    - `relaxation`*: of a rod in motion, or None; `K_se` and `K_bt` are then its stiffness at once.
     - `material`, `energies`, `distributed_loads`: those of users, at arc lengths `s`* [m]; the last
       two times `load_factor`.
     - `constraint`: conditions on the whole rod, whose multipliers act on it.
@@ -86,6 +88,7 @@ class Rod(eqx.Module):
     M_tip: Float[Array, "turn"] | None = None
     at_gaps: tuple[PointLoad, ...] | None = None
     fibres: Fibres | None = None
+    relaxation: Relaxation | None = None
     material: AbstractEnergy | None = None
     energies: Sequence[AbstractEnergy] | None = None
     distributed_loads: Sequence[AbstractDistributedLoad] | None = None
@@ -133,6 +136,32 @@ class Rod(eqx.Module):
         along = [x.F if x.F is not None else x.M for x in gaps if x.frame == "base"]
         return any(x is not None for x in (self.gravity, self.F_tip, self.M_tip, *along))
 
+    @property
+    def relaxed(self) -> "Rod":
+        """The rod as stiff as it is for ever."""
+        if self.relaxation is None:
+            return self
+        left = self.relaxation.left[..., None]
+        K_se = None if self.K_se is None else left * self.K_se
+        return eqx.tree_at(
+            lambda r: (r.K_se, r.K_bt, r.relaxation),
+            self,
+            (K_se, left * self.K_bt, None),
+            is_leaf=lambda x: x is None,
+        )
+
+    @property
+    def stiffness(self) -> Float[Array, "... strain"]:
+        """That of the strains that are unknown."""
+        return self.K_bt if self.K_se is None else joined(self.K_se, self.K_bt)
+
+    @property
+    def rest_strain(self) -> Float[Array, "... strain"]:
+        """Those strains of the unloaded rod that are unknown in others."""
+        if self.K_se is None:
+            return self.u_star
+        return joined(self.v_star, self.u_star)
+
     def under(self, multipliers: Float[Array, "conditions"] | None) -> "Rod":
         """The rod on which the multipliers of its constraint act."""
         if self.constraint is None or multipliers is None:
@@ -161,9 +190,16 @@ _AXES = {
     **dict.fromkeys(("K_se", "K_bt", "v_star", "u_star", "rho_A", "rho_J", "B_se", "B_bt", "C"), 1),
     **dict.fromkeys(("weight", "tau", "front_viscosity", "n_ch", "m_ch"), 1),
     **dict.fromkeys(("r", "r_s"), 2),
+    **{"relaxation.parts": 1, "relaxation.times": 1},
     **{"fibres.constants": 1, "fibres.disks": 2, "fibres.boxes": 2},
     "s": 0,
 }
+
+
+def joined(a, b):
+    """Side by side; what is the same along the rod beside what varies along it, too."""
+    points = jnp.broadcast_shapes(a.shape[:-1], b.shape[:-1])
+    return jnp.concatenate([jnp.broadcast_to(x, (*points, x.shape[-1])) for x in (a, b)], -1)
 
 
 def fastest_wave(rod: Rod) -> Scalar:

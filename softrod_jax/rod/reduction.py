@@ -9,6 +9,7 @@ from jaxtyping import Array, Bool
 
 from softrod_jax.rod.body import INCOMPLETE, body_along
 from softrod_jax.rod.constants import PointLoad, Rod
+from softrod_jax.rod.energies import Part
 from softrod_jax.rod.given_lengths import given_lengths
 from softrod_jax.rod.grid import (
     Grid,
@@ -61,6 +62,12 @@ def make_rod(
     gravity, load = vector_in(plane, scene.gravity), scene.tip_load
     one, own = jnp.ones(()), (scene.energies, scene.distributed_loads)
     material = scene.material if isinstance(scene.material, AbstractEnergy) else None
+    fibres, relaxation = body.fibres, body.relaxation
+    if relaxation is not None and fibres is not None:
+        left = relaxation.left[..., None] * fibres.constants
+        fibres = dataclasses.replace(fibres, constants=left)
+    if relaxation is not None and material is not None:
+        material = Part(material, relaxation.left)
     rod = Rod(
         grid=grid,
         K_se=K_se,
@@ -87,7 +94,8 @@ def make_rod(
         F_tip=None if load is None else vector_in(plane, load.force),
         M_tip=None if load is None else turn_in(plane, load.moment),
         at_gaps=_point_loads(scene, grid),
-        fibres=body.fibres,
+        fibres=fibres,
+        relaxation=body.relaxation,
         material=material,
         energies=scene.energies,
         distributed_loads=scene.distributed_loads,
@@ -95,6 +103,7 @@ def make_rod(
         s=None if all(x is None for x in (material, *own)) else grid.s,
         plane=plane,
     )
+    rod = rod if dynamic else rod.relaxed
     if pulls is not None:
         assert scene.tendons is not None, INCOMPLETE
         there = where_active(scene, grid, scene.tendons)

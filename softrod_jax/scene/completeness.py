@@ -41,6 +41,7 @@ def incomplete(scene: Scene) -> Iterator[Breach]:
     for i, segment in enumerate(scene.segments or ()):
         yield from _twice(segment, f"segments[{i}]")
     yield from _material(scene)
+    yield from _relaxation(scene)
     yield from _names(scene)
     yield from _tendons(scene)
 
@@ -140,6 +141,15 @@ def _of_rubber(scene: Scene, key: str, part, own) -> Iterator[Breach]:
     if isinstance(scene.material, AbstractEnergy):
         remedy = "the scene has a law of one's own for the whole rod; leave one out"
         yield f"{key}.material", type(own.material).__name__, remedy
+
+
+def _relaxation(scene: Scene) -> Iterator[Breach]:
+    """That of a law of one's own, which has the same one everywhere."""
+    if isinstance(scene.material, AbstractEnergy):
+        for i, segment in enumerate(scene.segments or ()):
+            if segment.relaxation is not None:
+                remedy = "a law of one's own relaxes as a whole: give relaxation to the scene"
+                yield f"segments[{i}].relaxation", _shown(segment, "relaxation"), remedy
 
 
 def _names(scene: Scene) -> Iterator[Breach]:

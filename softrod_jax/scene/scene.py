@@ -17,6 +17,7 @@ from softrod_jax.foundation.numbers import (
     Given,
     Maybe,
     QuaternionLike,
+    RowsLike,
     ScalarLike,
     VectorLike,
 )
@@ -27,7 +28,7 @@ from softrod_jax.scene.materials import AbstractRubber
 from softrod_jax.scene.printing import described
 from softrod_jax.scene.ranges import number, numbers_of
 from softrod_jax.scene.sections import Section
-from softrod_jax.scene.segments import DAMPING, Segment, Stiffness
+from softrod_jax.scene.segments import DAMPING, RELAXATION, Segment, Stiffness, stays_stiff
 from softrod_jax.scene.tendons import Tendons
 
 # The planes that a scene may be in: across the rod, and along it.
@@ -50,6 +51,8 @@ class Scene(eqx.Module):
     - `stiffness` instead of the moduli and `linear_density` [kg/m] instead of the density.
     - `bending_damping` B_bt [N m^2 s] and `shear_damping` B_se [N s]: Kelvin-Voigt, a number
       or (3,) for x, y, z of the body frame.
+    - `relaxation`: branches (g, tau) of a Prony series, rows of a part of the stiffness, which all
+      else says as it is at once, and a time [s] in which that part relaxes. Equilibria are relaxed.
     - `gravity` [m/s^2], (3,), base frame.
     - `drag_coefficient` C [kg/m^2]: square-law drag per unit length, a number or (3,).
     - `shear_correction` [-] scales GA; 1 as in Roshanfar et al. (2024).
@@ -97,6 +100,7 @@ class Scene(eqx.Module):
     masses: Sequence[Mass] | None = None
     markers: Sequence[Marker] | None = None
     material: AbstractEnergy | AbstractRubber | None = None
+    relaxation: Maybe[RowsLike] = number(**RELAXATION)
     energies: Sequence[AbstractEnergy] | None = None
     distributed_loads: Sequence[AbstractDistributedLoad] | None = None
     inextensible: bool = eqx.field(static=True, default=False)
@@ -124,6 +128,7 @@ class Scene(eqx.Module):
     def relations(self):
         """What must hold besides the ranges: a field, whether it does, and what is expected."""
         v, h = self.rest_stretch, self.base_quaternion
+        yield from stays_stiff(self.relaxation)
         if v is not None:
             yield "rest_stretch", v[2] > 0, lambda: "the third number, along the rod, is above 0"
         if h is not None:
@@ -171,6 +176,7 @@ SHARED = (
     "stiffness",
     "material",
     "linear_density",
+    "relaxation",
     "bending_damping",
     "shear_damping",
     "drag_coefficient",

@@ -273,6 +273,34 @@ def test_materials_that_cannot_be(tmp_path, text, expected):
     assert all(x in str(error.value) for x in expected), error.value
 
 
+def test_relaxation(tmp_path):
+    line = "relaxation = [[0.3, 0.05], [0.2, 1.0]]\n"
+    own = WIDER.replace("intervals = 6", "relaxation = [[0.25, 2.0]]")
+    scene = sr.load_scene(write(tmp_path, own.replace("[rod]\n", f"[rod]\n{line}")))
+    assert scene.relaxation.tolist() == [[0.3, 0.05], [0.2, 1.0]]
+    assert scene.parts[0].relaxation.tolist() == [[0.25, 2.0]]
+    assert scene.parts[1].relaxation is scene.relaxation
+    sr.save_scene(scene, tmp_path / "a.toml")
+    assert_same(scene, sr.load_scene(tmp_path / "a.toml"))
+
+
+@pytest.mark.parametrize(
+    "value, expected",
+    [
+        ("0.3", "1 or more lists of 2 numbers each"),
+        ("[0.3, 0.05]", "1 or more lists of 2 numbers each"),
+        ("[]", "1 or more lists of 2 numbers each"),
+        ("[[0.3]]", "1 or more lists of 2 numbers each"),
+        ("[[0.3, 0.0]]", "above 0"),
+        ("[[-0.3, 1.0]]", "above 0"),
+        ("[[0.4, 1.0], [0.6, 2.0]]", "whose sum is below 1"),
+    ],
+)
+def test_relaxation_that_cannot_be(tmp_path, value, expected):
+    with pytest.raises(sr.SceneError, match="rod.relaxation = .*" + expected):
+        sr.load_scene(write(tmp_path, UNIFORM + f"relaxation = {value}\n"))
+
+
 def test_a_law_of_ones_own_is_that_of_the_whole_rod():
     class Springs(sr.AbstractEnergy):
         def density(self, v, u, s):
@@ -284,6 +312,9 @@ def test_a_law_of_ones_own_is_that_of_the_whole_rod():
     rubber = dataclasses.replace(segment, material=sr.NeoHookean(1e4))
     with pytest.raises(ValueError, match=r"segments\[0\].material = NeoHookean: .* leave one out"):
         checked_scene("here", sr.Scene(segments=(rubber,), density=1e3, material=Springs()))
+    soft = dataclasses.replace(segment, material=None, relaxation=[[0.1, 1.0]])
+    with pytest.raises(ValueError, match=r"segments\[0\].relaxation = .* relaxes as a whole"):
+        checked_scene("here", sr.Scene(segments=(soft,), density=1e3, material=Springs()))
 
 
 # What is refused
