@@ -53,6 +53,8 @@ def fibres_of(section: Section, constants: Float[Array, "2"]) -> Fibres | None:
     match section:
         case Circle():
             disks = [(section.radius, none, none, one)]
+            holes = () if section.holes is None else section.holes
+            disks += [(a, x, y, -one) for x, y, a in holes]
         case Annulus():
             disks = [(section.outer_radius, none, none, one)]
             disks.append((section.inner_radius, none, none, -one))

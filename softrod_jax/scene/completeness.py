@@ -14,7 +14,7 @@ from softrod_jax.scene.acting import AbstractEnergy
 from softrod_jax.scene.materials import AbstractRubber
 from softrod_jax.scene.ranges import numbers_of
 from softrod_jax.scene.scene import Scene
-from softrod_jax.scene.sections import GeneralSection
+from softrod_jax.scene.sections import Circle, GeneralSection
 from softrod_jax.scene.segments import Segment, Stiffness
 from softrod_jax.scene.tendons import Tendons
 
@@ -70,6 +70,11 @@ def _shape(owner: Scene | Segment, key: str, otherwise: str) -> Iterator[Breach]
     if section is not None and end is not None and type(end) is not type(section):
         kinds = [type(x).__name__ for x in (end, section)]
         yield f"{key}.section_at_end", kinds[0], f"expected {kinds[1]}, the shape of section"
+    elif isinstance(section, Circle) and isinstance(end, Circle):
+        counts = [0 if x.holes is None else len(x.holes) for x in (end, section)]
+        if counts[0] != counts[1]:
+            remedy = f"expected {counts[1]} holes, as section has"
+            yield f"{key}.section_at_end.holes", counts[0], remedy
 
 
 def _twice(owner: Scene | Segment, key: str) -> Iterator[Breach]:
