@@ -23,6 +23,9 @@ from softrod_jax.scene.loads import Marker as Marker
 from softrod_jax.scene.loads import Mass as Mass
 from softrod_jax.scene.loads import Payload as Payload
 from softrod_jax.scene.loads import TipLoad as TipLoad
+from softrod_jax.scene.materials import AbstractRubber as AbstractRubber
+from softrod_jax.scene.materials import MooneyRivlin as MooneyRivlin
+from softrod_jax.scene.materials import NeoHookean as NeoHookean
 from softrod_jax.scene.robots import hybrid_robot as hybrid_robot
 from softrod_jax.scene.scene import Scene as Scene
 from softrod_jax.scene.sections import Annulus as Annulus

@@ -38,13 +38,14 @@ def bulk(scene: sr.Scene) -> Bulk:
             section, measured = segment.section_at(place), segment.stiffness
             ds = weight * segment.length
             lever = (length - start - place * segment.length) / length
-            if scene.material is not None:
-                K_se, K_bt = stiffness_at_rest(scene.material, *segment.rest_strain)
+            if isinstance(segment.material, sr.AbstractEnergy):
+                K_se, K_bt = stiffness_at_rest(segment.material, *segment.rest_strain)
                 EI, EA = K_bt[:2], K_se[2]
             elif measured is None:
-                assert segment.young_modulus is not None, INCOMPLETE
-                EI = segment.young_modulus * section.second_moments
-                EA = segment.young_modulus * section.area
+                rubber = segment.material
+                E = segment.young_modulus if rubber is None else rubber.young_modulus
+                assert E is not None, INCOMPLETE
+                EI, EA = E * section.second_moments, E * section.area
             else:
                 # An inextensible rod need not say how far it stretches.
                 EI, EA = measured.bending, jnp.inf if measured.axial is None else measured.axial

@@ -20,11 +20,11 @@ from softrod_jax.bvp.newton import NewtonOptions, ReusedFactors, newton
 from softrod_jax.foundation.compiling import on_cpu
 from softrod_jax.foundation.results import RESULTS
 from softrod_jax.rod.constants import Rod
-from softrod_jax.rod.constitutive import shortest_path
+from softrod_jax.rod.constitutive import least_fibre_stretch, shortest_path
 from softrod_jax.rod.ode import History, Layout
 
-# Where a solve fails with less than this left of the rod's length anywhere, or of a tendon's path,
-# that is why.
+# Where a solve fails with less than this left of the rod's length anywhere, or of a tendon's path
+# or a fibre, that is why.
 _VANISHING = 0.02
 
 
@@ -121,6 +121,9 @@ def solve_boundary_value(
         left = _least_stretch(rod, layout, fields.strain)
         # Below nothing, the linear law of the material knows sections that have changed sides.
         gone = (failed & (left < _VANISHING)) | ~(left > 0.0)
+    fibres = least_fibre_stretch(rod, fields.strain)
+    if fibres is not None:
+        gone |= failed & ~(jnp.min(fibres) > _VANISHING)
     if rod.tau is not None:
         gone |= failed & (shortest_path(rod, fields.strain) < _VANISHING)
     result = jnp.where(gone, RESULTS.no_equilibrium, result)
@@ -153,7 +156,9 @@ def slow_unless(ok, history: History) -> History:
 
     Where a sample has failed, derivatives may overflow, and 0 * inf is NaN in the reverse pass.
     """
-    rest = History(1.0, 0.0, 0.0)  # pyright: ignore[reportArgumentType]  # in the place of arrays
+    none = None if history.crept is None else 0.0
+    # In the place of arrays.
+    rest = History(1.0, 0.0, 0.0, none)  # pyright: ignore[reportArgumentType]
     return jax.tree.map(lambda x, slow: jnp.where(ok, x, slow), history, rest)
 
 

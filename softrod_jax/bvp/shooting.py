@@ -200,8 +200,12 @@ class Shooting(AbstractMethod):
             at = _Window(x, count)
             here = None
             if history is not None:
+                crept = history.crept
                 here = History(
-                    history.c0, at.interpolate(history.strain), at.interpolate(history.velocity)
+                    history.c0,
+                    at.interpolate(history.strain),
+                    at.interpolate(history.velocity),
+                    None if crept is None else at.interpolate(crept),
                 )
             local = rod.map_points(at.interpolate)
             rates = rod_ode(z * units, local, layout, here, at.interpolate(guess))

@@ -5,7 +5,6 @@ import jax.numpy as jnp
 
 from softrod_jax.bvp.method import Guess
 from softrod_jax.rod.constants import Rod
-from softrod_jax.rod.constitutive import joined
 from softrod_jax.rod.ode import Layout
 from softrod_jax.rod.rotations import quaternion_exp, quaternion_product, to_base
 from softrod_jax.scene.planes import vector_in
@@ -14,10 +13,7 @@ from softrod_jax.scene.planes import vector_in
 def unloaded_guess(layout: Layout, rod: Rod) -> Guess:
     """The rod without any load: strains v*, u*, no wrench, at rest."""
     s = rod.grid.s
-    strain = rod.u_star
-    if not layout.inextensible:
-        strain = joined(rod.v_star, strain)
-    strain = jnp.broadcast_to(strain, (s.shape[0], layout.strain_size))
+    strain = jnp.broadcast_to(rod.rest_strain, (s.shape[0], layout.strain_size))
     h = _attitudes(rod, layout) if layout.attitude else None
     p = _positions(rod, h) if layout.position else None
     rest = jnp.zeros((s.shape[0], layout.size - layout.pose_size))

@@ -11,7 +11,11 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from softrod_jax.rod.energies import stiffness_at_rest
+from softrod_jax.rod.fibres import BOX, DISK, Fibres, fibres_of
 from softrod_jax.rod.grid import Grid, division_of, ends_of_parts
+from softrod_jax.rod.relaxation import Relaxation
+from softrod_jax.scene.acting import AbstractEnergy
+from softrod_jax.scene.materials import AbstractRubber
 from softrod_jax.scene.scene import Scene
 from softrod_jax.scene.segments import Segment
 
@@ -31,6 +35,8 @@ class Body(NamedTuple):
     B_se: Array | None
     B_bt: Array | None
     C: Array | None
+    fibres: Fibres | None = None
+    relaxation: Relaxation | None = None
 
 
 def body_along(scene: Scene, grid: Grid) -> Body:
@@ -50,7 +56,9 @@ def body_along(scene: Scene, grid: Grid) -> Body:
         )
         values = [getattr(body, name) for body in bodies]
         chosen[name] = _selected(values, number) if own else values[0]
-    return Body(**chosen)
+    fibres = _fibres_along([body.fibres for body in bodies], number)
+    relaxation = _relaxation_along([body.relaxation for body in bodies], number)
+    return Body(**chosen, fibres=fibres, relaxation=relaxation)
 
 
 # From what segments may share it follows; those of sections and materials differ.
@@ -81,6 +89,12 @@ def _body(segment: Segment, x: Float[Array, "points"], scene: Scene) -> Body:
     else:
         K_se, K_bt, rho_A, rho_J = jax.vmap(at)(x)
     v_star, u_star = segment.rest_strain
+    fibres, branches = None, segment.relaxation
+    if isinstance(segment.material, AbstractRubber):
+        constants = segment.material.constants
+        of_section = lambda x: fibres_of(segment.section_at(x), constants)
+        tapers = segment.section_at_end is not None
+        fibres = jax.vmap(of_section)(x) if tapers else of_section(0.0)
     return Body(
         K_se=None if scene.inextensible else K_se,
         K_bt=K_bt,
@@ -91,6 +105,8 @@ def _body(segment: Segment, x: Float[Array, "points"], scene: Scene) -> Body:
         B_se=_diagonal(segment.shear_damping),
         B_bt=_diagonal(segment.bending_damping),
         C=_diagonal(segment.drag_coefficient),
+        fibres=fibres,
+        relaxation=None if branches is None else Relaxation(branches[:, 0], branches[:, 1]),
     )
 
 
@@ -104,15 +120,50 @@ def _segment_of_points(scene: Scene, grid: Grid):
 
 
 def _selected(values, number):
-    """For each point the value of its segment."""
+    """For each point the value of its segment, zero where it has none; `None` where none has."""
     if all(x is None for x in values):
         return None
     size = next(x.shape[-1:] for x in values if x is not None)
-    chosen = 0.0
+    return _chosen([jnp.zeros(size) if x is None else x for x in values], number)
+
+
+def _chosen(values: list[Array], number) -> Array:
+    chosen: Array | float = 0.0
     for k, x in enumerate(values):
-        x = jnp.zeros(size) if x is None else x
         chosen = jnp.where((number == k)[:, None], x, chosen)
-    return chosen
+    return jnp.asarray(chosen)
+
+
+def _fibres_along(fibres: list[Fibres | None], number) -> Fibres | None:
+    """Those of all segments; without constants in one that is not of rubber."""
+    known = [x for x in fibres if x is not None]
+    if not known:
+        return None
+
+    def selected(name: str, size: int):
+        """Rows of zeros are nothing: every segment gets as many as one has at most."""
+        rows = [jnp.zeros((0, size)) if x is None else getattr(x, name) for x in fibres]
+        most = max(x.shape[-2] for x in rows)
+        more = lambda x: [(0, 0)] * (x.ndim - 2) + [(0, most - x.shape[-2]), (0, 0)]
+        flat = [jnp.pad(x, more(x)).reshape(*x.shape[:-2], most * size) for x in rows]
+        return jnp.reshape(_chosen(flat, number), (len(number), most, size))
+
+    constants = _chosen([jnp.zeros(2) if x is None else x.constants for x in fibres], number)
+    return Fibres(constants, selected("disks", DISK), selected("boxes", BOX))
+
+
+def _relaxation_along(relaxations: list[Relaxation | None], number) -> Relaxation | None:
+    """That of all segments; one with fewer branches has others that are no part of it."""
+    known = [x for x in relaxations if x is not None]
+    if not known:
+        return None
+    most = max(x.parts.shape[-1] for x in known)
+    filled = []
+    for x in relaxations:
+        parts, times = (jnp.zeros(0), jnp.zeros(0)) if x is None else (x.parts, x.times)
+        more = (0, most - parts.shape[-1])
+        filled.append((jnp.pad(parts, more), jnp.pad(times, more, constant_values=1.0)))
+    return Relaxation(*(_chosen(list(each), number) for each in zip(*filled)))
 
 
 def _stiffness_and_mass(segment: Segment, section, scene: Scene):
@@ -124,11 +175,15 @@ def _stiffness_and_mass(segment: Segment, section, scene: Scene):
     else:
         assert rho is not None, INCOMPLETE
         rho_A = rho * section.area
-    measured, material = segment.stiffness, scene.material
-    if material is not None:
+    measured, material = segment.stiffness, segment.material
+    if isinstance(material, AbstractEnergy):
         K_se, K_bt = stiffness_at_rest(material, *segment.rest_strain)
+    elif isinstance(material, AbstractRubber):
+        K_se, K_bt = _of_moduli(material.young_modulus, 0.5, segment, section, scene)
     elif measured is None:
-        K_se, K_bt = _of_moduli(segment, section, scene)
+        E, nu = segment.young_modulus, segment.poisson_ratio
+        assert E is not None and nu is not None, INCOMPLETE
+        K_se, K_bt = _of_moduli(E, nu, segment, section, scene)
     else:
         K_bt = jnp.append(measured.bending, measured.torsion)
         K_se = None
@@ -137,10 +192,9 @@ def _stiffness_and_mass(segment: Segment, section, scene: Scene):
     return K_se, K_bt, jnp.reshape(rho_A, 1), rho * jnp.stack([I[0], I[1], I[0] + I[1]])
 
 
-def _of_moduli(segment: Segment, section, scene: Scene):
+def _of_moduli(E, nu, segment: Segment, section, scene: Scene):
     """K_se, or None if inextensible, and K_bt of an isotropic material."""
-    E, nu, I = segment.young_modulus, segment.poisson_ratio, section.second_moments
-    assert E is not None and nu is not None, INCOMPLETE
+    I = section.second_moments
     if scene.inextensible and scene.plane is not None:
         # Nothing is sheared or twisted: the shear modulus is in no equation.
         return None, jnp.stack([E * I[0], E * I[1], jnp.zeros(())])

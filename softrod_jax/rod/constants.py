@@ -14,8 +14,10 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from softrod_jax.rod.constraint import AbstractConstraint
+from softrod_jax.rod.fibres import Fibres
 from softrod_jax.rod.friction import Friction, Slid, sliding_throughout
 from softrod_jax.rod.grid import Grid
+from softrod_jax.rod.relaxation import Relaxation
 from softrod_jax.scene.acting import AbstractDistributedLoad, AbstractEnergy
 from softrod_jax.scene.planes import in_space, turn_in, vector_in
 
@@ -51,6 +53,8 @@ class Rod(eqx.Module):
     - `n_ch`* [N], `m_ch`* [N m]: (3,), body frame: -dW_act/d(v, u) of the chambers, or None.
     - `payload` [kg] or None; `gravity` [m/s^2] or None; `F_tip` [N], `M_tip` [N m] or None.
     - `at_gaps`: loads and masses along the rod.
+    - `fibres`*: of rubber, or None; `K_se` and `K_bt` are then their stiffness at small strain.
+    - `relaxation`*: of a rod in motion, or None; `K_se` and `K_bt` are then its stiffness at once.
     - `material`, `energies`, `distributed_loads`: those of users, at arc lengths `s`* [m]; the last
       two times `load_factor`.
     - `constraint`: conditions on the whole rod, whose multipliers act on it. `friction`: of
@@ -86,6 +90,8 @@ class Rod(eqx.Module):
     F_tip: Float[Array, "vector"] | None = None
     M_tip: Float[Array, "turn"] | None = None
     at_gaps: tuple[PointLoad, ...] | None = None
+    fibres: Fibres | None = None
+    relaxation: Relaxation | None = None
     material: AbstractEnergy | None = None
     energies: Sequence[AbstractEnergy] | None = None
     distributed_loads: Sequence[AbstractDistributedLoad] | None = None
@@ -115,7 +121,8 @@ class Rod(eqx.Module):
     @property
     def explicit_strains(self) -> bool:
         """Whether the energy is quadratic: strains then follow without iterations."""
-        return self.tau is None and self.material is None and self.energies is None
+        own = (self.tau, self.fibres, self.material, self.energies)
+        return all(x is None for x in own)
 
     @property
     def reach(self) -> Scalar:
@@ -153,6 +160,32 @@ class Rod(eqx.Module):
             slid = sliding_throughout(slid, directions)
         return dataclasses.replace(self, friction=dataclasses.replace(self.friction, slid=slid))
 
+    @property
+    def relaxed(self) -> "Rod":
+        """The rod as stiff as it is for ever."""
+        if self.relaxation is None:
+            return self
+        left = self.relaxation.left[..., None]
+        K_se = None if self.K_se is None else left * self.K_se
+        return eqx.tree_at(
+            lambda r: (r.K_se, r.K_bt, r.relaxation),
+            self,
+            (K_se, left * self.K_bt, None),
+            is_leaf=lambda x: x is None,
+        )
+
+    @property
+    def stiffness(self) -> Float[Array, "... strain"]:
+        """That of the strains that are unknown."""
+        return self.K_bt if self.K_se is None else joined(self.K_se, self.K_bt)
+
+    @property
+    def rest_strain(self) -> Float[Array, "... strain"]:
+        """Those strains of the unloaded rod that are unknown in others."""
+        if self.K_se is None:
+            return self.u_star
+        return joined(self.v_star, self.u_star)
+
     def under(self, multipliers: Float[Array, "conditions"] | None) -> "Rod":
         """The rod on which the multipliers of its constraint act."""
         if self.constraint is None or multipliers is None:
@@ -161,12 +194,22 @@ class Rod(eqx.Module):
 
     def map_points(self, function) -> "Rod":
         """The rod with `function` of everything that varies along it: (points, ...) to (m, ...)."""
-        own = {name: getattr(self, name) for name in _AXES}
+        own = {name: _find(self, name) for name in _AXES}
         names = [n for n, x in own.items() if x is not None and x.ndim > _AXES[n]]
-        changed: dict = {name: function(own[name]) for name in names}
-        if self.friction is not None:
-            changed["friction"] = self.friction.map_points(function)
-        return dataclasses.replace(self, **changed)
+        pick = lambda rod: [_find(rod, name) for name in names]
+        rod = self
+        if names:
+            rod = eqx.tree_at(pick, self, [function(x) for x in pick(self)])
+        if rod.friction is None:
+            return rod
+        return dataclasses.replace(rod, friction=rod.friction.map_points(function))
+
+
+def _find(rod: Rod, name: str):
+    """A number of the rod, or of a part of it; `None` where there is none."""
+    owner, _, part = name.rpartition(".")
+    owner = getattr(rod, owner) if owner else rod
+    return None if owner is None else getattr(owner, part)
 
 
 # How many axes what may vary has where it does not.
@@ -174,8 +217,16 @@ _AXES = {
     **dict.fromkeys(("K_se", "K_bt", "v_star", "u_star", "rho_A", "rho_J", "B_se", "B_bt", "C"), 1),
     **dict.fromkeys(("weight", "tau", "front_viscosity", "n_ch", "m_ch"), 1),
     **dict.fromkeys(("r", "r_s"), 2),
+    **{"relaxation.parts": 1, "relaxation.times": 1},
+    **{"fibres.constants": 1, "fibres.disks": 2, "fibres.boxes": 2},
     "s": 0,
 }
+
+
+def joined(a, b):
+    """Side by side; what is the same along the rod beside what varies along it, too."""
+    points = jnp.broadcast_shapes(a.shape[:-1], b.shape[:-1])
+    return jnp.concatenate([jnp.broadcast_to(x, (*points, x.shape[-1])) for x in (a, b)], -1)
 
 
 def fastest_wave(rod: Rod) -> Scalar:

@@ -23,8 +23,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from softrod_jax.rod.constants import Rod, Scalar
+from softrod_jax.rod.constants import Rod, Scalar, joined
 from softrod_jax.rod.energies import AbstractTerm, Density, TendonPull
+from softrod_jax.rod.fibres import FibreEnergy, Fibres
+from softrod_jax.rod.relaxation import Crept
 from softrod_jax.rod.rotations import cross
 
 # (v, u), or u where v is given: 6, 3, or in a plane 3 and 1 numbers.
@@ -54,25 +56,36 @@ class LocalProblem(NamedTuple):
 
 
 def local_problem(
-    rod: Rod, wrench: Strain, c0: Scalar | None = None, strain_history: Strain | None = None
+    rod: Rod,
+    wrench: Strain,
+    c0: Scalar | None = None,
+    strain_history: Strain | None = None,
+    crept_history: Crept | None = None,
 ) -> LocalProblem:
     """The problem for the body-frame wrench (N, M), (*points, 6).
 
     `c0` and `strain_history` (v_h, u_h), (*points, 6), as in `schemes.py`; `None` in statics.
-    Of a rod that is inextensible: M and u_h, (*points, 3).
+    Of a rod that is inextensible: M and u_h, (*points, 3). `crept_history`: that of what relaxes.
     """
-    k_se, k_bt, b = rod.K_se, rod.K_bt, wrench
+    elastic = rod.relaxed
+    k_se, k_bt, b = elastic.K_se, elastic.K_bt, wrench
     stretch = slice(None, 0 if k_se is None else k_se.shape[-1])
     bend = slice(stretch.stop, None)
     if rod.material is not None:
         # All of the elasticity is in the material's own term.
         k_se, k_bt = None if k_se is None else jnp.zeros_like(k_se), jnp.zeros_like(k_bt)
     elif k_se is None:
-        b = b + rod.K_bt * rod.u_star
+        b = b + k_bt * rod.u_star
     else:
         b = b + joined(k_se * rod.v_star, k_bt * rod.u_star)
     if rod.m_ch is not None:
         b = b + (rod.m_ch if rod.n_ch is None else jnp.concatenate([rod.n_ch, rod.m_ch], -1))
+    if c0 is not None and rod.relaxation is not None and crept_history is not None:
+        at_once = rod.relaxation.at_once(c0)[..., None]
+        memory = rod.stiffness * rod.relaxation.memory(c0, crept_history)
+        b = b + at_once * rod.stiffness * rod.rest_strain - memory
+        k_bt = k_bt + at_once * rod.K_bt
+        k_se = None if k_se is None or rod.K_se is None else k_se + at_once * rod.K_se
     if c0 is not None and rod.B_se is not None and strain_history is not None:
         assert k_se is not None, "what is damped has a stiffness"
         k_se = k_se + c0 * rod.B_se
@@ -104,6 +117,8 @@ def _terms(rod: Rod, c0: Scalar | None, strain_history: Strain | None) -> tuple[
             l_h = pull.linear_paths(strain_history)
             pull = TendonPull(rod.tau, rod.r, rod.r_s, v, rod.front_viscosity * rod.tau, c0, l_h)
         terms.append(pull)
+    if rod.fibres is not None:
+        terms.append(_fibre_energy(rod, rod.fibres))
     if rod.s is None:
         return tuple(terms)
     if rod.material is not None:
@@ -113,10 +128,8 @@ def _terms(rod: Rod, c0: Scalar | None, strain_history: Strain | None) -> tuple[
     return tuple(terms)
 
 
-def joined(a, b):
-    """Side by side; what is the same along the rod beside what varies along it, too."""
-    points = jnp.broadcast_shapes(a.shape[:-1], b.shape[:-1])
-    return jnp.concatenate([jnp.broadcast_to(x, (*points, x.shape[-1])) for x in (a, b)], -1)
+def _fibre_energy(rod: Rod, fibres: Fibres) -> FibreEnergy:
+    return FibreEnergy(fibres, rod.rest_strain, rod.reach, rod.K_se is not None, rod.plane)
 
 
 def recover_strain(
@@ -159,6 +172,11 @@ def shortest_path(rod: Rod, strain: Strain):
     _, length = TendonPull(rod.tau, rod.r, rod.r_s, v).paths(strain)
     # A tendon that is not there may have any.
     return jnp.min(length if rod.tau.ndim == 1 else jnp.where(rod.tau > 0.0, length, jnp.inf))
+
+
+def least_fibre_stretch(rod: Rod, strain: Strain) -> Float[Array, "*points"] | None:
+    """The least stretch of a fibre of rubber at each point; `None` where there are none."""
+    return None if rod.fibres is None else _fibre_energy(rod, rod.fibres).least_stretch(strain)
 
 
 def imbalance(problem: LocalProblem, x: Strain) -> Strain:

@@ -141,6 +141,17 @@ class TendonPull(AbstractTerm):
         return jnp.sum(jnp.concatenate([upper, lower], -2), -3)
 
 
+class Part(AbstractEnergy):
+    """A part of the energy of another."""
+
+    whole: AbstractEnergy
+    part: Float[Array, ""]
+
+    def density(self, v, u, s):
+        """As the interface has it."""
+        return self.part * self.whole.density(v, u, s)
+
+
 class Density(AbstractTerm):
     """`factor` times an energy of a user, by automatic differentiation.
 

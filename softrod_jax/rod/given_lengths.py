@@ -17,7 +17,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
 from softrod_jax.rod.constants import Rod
-from softrod_jax.rod.constitutive import joined, local_problem, recover_strain
+from softrod_jax.rod.constitutive import local_problem, recover_strain
 from softrod_jax.rod.constraint import AbstractConstraint
 from softrod_jax.rod.energies import TendonPull
 from softrod_jax.scene.scene import Scene
@@ -101,7 +101,7 @@ def given_lengths(
     if any(k is not None for k in stiffness):
         compliance = jnp.stack([jnp.zeros(()) if k is None else 1.0 / k for k in stiffness])
     there = None if there is None else there[:, jnp.array(which)]
-    unloaded = per_unit(rod, unloaded_strain(rod), which)
+    unloaded = per_unit(rod, rod.rest_strain, which)
     lengths = GivenLengths(jnp.zeros_like(pulls), None, unloaded, compliance, there, which)
     pulled = lambda taken: dataclasses.replace(lengths, pulls=pulls, pretensioned=taken)
     if all(x is None for x in pretension):
@@ -123,7 +123,7 @@ def _pretensioned(rod: Rod, lengths: GivenLengths, tensions) -> Float[Array, "po
         is_leaf=lambda x: x is None,
     )
     alone = eqx.tree_at(lambda r: r.tau, alone, jnp.zeros_like(rod.tau))
-    rest = unloaded_strain(rod)
+    rest = rod.rest_strain
     rest = jnp.broadcast_to(rest, (rod.grid.s.shape[0], rest.shape[-1]))
     problem = local_problem(lengths.applied(alone, tensions), jnp.zeros_like(rest))
     strain, solved = recover_strain(problem, rest)
@@ -149,10 +149,6 @@ def _paths(rod: Rod, which: tuple[int, ...]) -> TendonPull:
     return TendonPull(jnp.ones(len(which)), r, r_s, v)
 
 
-def unloaded_strain(rod: Rod) -> Float[Array, "... strain"]:
-    return rod.u_star if rod.K_se is None else joined(rod.v_star, rod.u_star)
-
-
 def path_shortening(rod: Rod, strain: Float[Array, "points strain"], there) -> Float[Array, "_"]:
     """By how much the path of each tendon is shorter than in the unloaded rod [m].
 
@@ -160,7 +156,7 @@ def path_shortening(rod: Rod, strain: Float[Array, "points strain"], there) -> F
     """
     assert rod.r is not None, "a rod with tendons"
     every = tuple(range(rod.r.shape[-2]))
-    shorter = per_unit(rod, unloaded_strain(rod), every) - per_unit(rod, strain, every)
+    shorter = per_unit(rod, rod.rest_strain, every) - per_unit(rod, strain, every)
     return rod.grid.weights @ (shorter if there is None else jnp.where(there, shorter, 0.0))
 
 

@@ -38,6 +38,7 @@ from jaxtyping import Array, Bool, Float
 from softrod_jax.rod.constants import Rod
 from softrod_jax.rod.constitutive import compliance, imbalance, local_problem, recover_strain
 from softrod_jax.rod.friction import Slid, by_each_point
+from softrod_jax.rod.relaxation import Crept
 from softrod_jax.rod.rotations import cross, hat, hats, to_base, to_body
 from softrod_jax.scene.acting import Here
 from softrod_jax.scene.planes import in_space, quaternion_in, turn_in, vector_in
@@ -50,11 +51,13 @@ class History(NamedTuple):
 
     - `c0` [1/s].
     - `strain` (v_h, u_h), (*points, 6); `velocity` (q_h, omega_h), (*points, 6).
+    - `crept`: that of dashpots, (*points, branches, 6); `None` where nothing relaxes.
     """
 
     c0: Float[Array, ""]
     strain: Float[Array, "*points strain"]
     velocity: Float[Array, "*points pair"]
+    crept: Crept | None = None
 
 
 class Layout(eqx.Module):
@@ -216,8 +219,10 @@ def pointwise_problem(y, rod, layout, history):
     """That of the strains, for these states."""
     if layout.rubbing:
         rod = rod.rubbing(layout.losses_and_slips(y)[0])
-    c0, strain_history = (None, None) if history is None else (history.c0, history.strain)
-    return local_problem(rod, y[..., -rod.strain_size :], c0, strain_history)
+    wrench = y[..., -rod.strain_size :]
+    if history is None:
+        return local_problem(rod, wrench)
+    return local_problem(rod, wrench, history.c0, history.strain, history.crept)
 
 
 def _pull_by_loss(y, strain, rod, layout, history):

@@ -9,8 +9,9 @@ from jaxtyping import Array, Bool
 
 from softrod_jax.rod.body import INCOMPLETE, body_along
 from softrod_jax.rod.constants import PointLoad, Rod
+from softrod_jax.rod.energies import Part
 from softrod_jax.rod.friction import STICK, Friction, unslid
-from softrod_jax.rod.given_lengths import given_lengths, per_unit, unloaded_strain
+from softrod_jax.rod.given_lengths import given_lengths, per_unit
 from softrod_jax.rod.grid import (
     Grid,
     divide,
@@ -21,6 +22,7 @@ from softrod_jax.rod.grid import (
     places_of,
     uniform_grid,
 )
+from softrod_jax.scene.acting import AbstractEnergy
 from softrod_jax.scene.inputs import Inputs
 from softrod_jax.scene.planes import about_normal, angle_in, turn_in, vector_in
 from softrod_jax.scene.scene import Scene
@@ -59,7 +61,14 @@ def make_rod(
     if not no_tendons and spread_fronts and body.K_se is not None:
         front = _FRONT_VISCOSITY * grid.widest**2 * body.rho_A / body.K_se[..., 2:]
     gravity, load = vector_in(plane, scene.gravity), scene.tip_load
-    own, one = (scene.material, scene.energies, scene.distributed_loads), jnp.ones(())
+    one, own = jnp.ones(()), (scene.energies, scene.distributed_loads)
+    material = scene.material if isinstance(scene.material, AbstractEnergy) else None
+    fibres, relaxation = body.fibres, body.relaxation
+    if relaxation is not None and fibres is not None:
+        left = relaxation.left[..., None] * fibres.constants
+        fibres = dataclasses.replace(fibres, constants=left)
+    if relaxation is not None and material is not None:
+        material = Part(material, relaxation.left)
     rod = Rod(
         grid=grid,
         K_se=K_se,
@@ -86,13 +95,16 @@ def make_rod(
         F_tip=None if load is None else vector_in(plane, load.force),
         M_tip=None if load is None else turn_in(plane, load.moment),
         at_gaps=_point_loads(scene, grid),
-        material=scene.material,
+        fibres=fibres,
+        relaxation=body.relaxation,
+        material=material,
         energies=scene.energies,
         distributed_loads=scene.distributed_loads,
         load_factor=None if scene.energies is None and scene.distributed_loads is None else one,
-        s=None if all(x is None for x in own) else grid.s,
+        s=None if all(x is None for x in (material, *own)) else grid.s,
         plane=plane,
     )
+    rod = rod if dynamic else rod.relaxed
     if not no_tendons and rubbing(scene.tendons):
         rod = dataclasses.replace(rod, friction=_friction(scene, rod))
     if pulls is not None:
@@ -154,7 +166,7 @@ def _friction(scene: Scene, rod: Rod) -> Friction:
     r_ss, there = tendons.bends(grid.s, scene.length), where_active(scene, grid, tendons)
     ends = [jnp.asarray(tendons.part(i, scene.length)[1], dtype=float) for i in which]
     chosen = lambda x: None if x is None else x[..., own, :]
-    unloaded = per_unit(rod, unloaded_strain(rod), which)
+    unloaded = per_unit(rod, rod.rest_strain, which)
     unloaded = jnp.broadcast_to(unloaded, (grid.s.shape[0], len(which)))
     return Friction(
         coefficient=jnp.stack([jnp.asarray(tendons.friction[i], dtype=float) for i in which]),

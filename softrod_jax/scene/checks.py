@@ -169,7 +169,7 @@ def _owners(module: eqx.Module, prefix: str) -> Iterator[tuple[str, eqx.Module]]
 
 
 # Tables of a scene file that are within that of the rod.
-_OF_THE_ROD = ("section", "section_at_end", "stiffness")
+_OF_THE_ROD = ("section", "section_at_end", "stiffness", "material")
 
 
 def _fields(module: eqx.Module, prefix: str) -> Iterator[tuple[str, Number, Any]]:

@@ -10,8 +10,11 @@ from typing import Any
 
 import numpy as np
 
+from softrod_jax.scene.acting import AbstractEnergy
+from softrod_jax.scene.materials import AbstractRubber
 from softrod_jax.scene.ranges import numbers_of
 from softrod_jax.scene.scene import Scene
+from softrod_jax.scene.sections import Circle, GeneralSection
 from softrod_jax.scene.segments import Segment, Stiffness
 from softrod_jax.scene.tendons import Tendons
 
@@ -38,6 +41,7 @@ def incomplete(scene: Scene) -> Iterator[Breach]:
     for i, segment in enumerate(scene.segments or ()):
         yield from _twice(segment, f"segments[{i}]")
     yield from _material(scene)
+    yield from _relaxation(scene)
     yield from _names(scene)
     yield from _tendons(scene)
 
@@ -66,6 +70,11 @@ def _shape(owner: Scene | Segment, key: str, otherwise: str) -> Iterator[Breach]
     if section is not None and end is not None and type(end) is not type(section):
         kinds = [type(x).__name__ for x in (end, section)]
         yield f"{key}.section_at_end", kinds[0], f"expected {kinds[1]}, the shape of section"
+    elif isinstance(section, Circle) and isinstance(end, Circle):
+        counts = [0 if x.holes is None else len(x.holes) for x in (end, section)]
+        if counts[0] != counts[1]:
+            remedy = f"expected {counts[1]} holes, as section has"
+            yield f"{key}.section_at_end.holes", counts[0], remedy
 
 
 def _twice(owner: Scene | Segment, key: str) -> Iterator[Breach]:
@@ -74,6 +83,10 @@ def _twice(owner: Scene | Segment, key: str) -> Iterator[Breach]:
         for name in _MODULI:
             if getattr(owner, name) is not None:
                 yield f"{key}.{name}", _shown(owner, name), "stiffness stands for it; leave one out"
+    if isinstance(owner.material, AbstractRubber):
+        for name in ("young_modulus", "poisson_ratio", "stiffness"):
+            if getattr(owner, name) is not None:
+                yield f"{key}.{name}", _shown(owner, name), "material stands for it; leave one out"
     if owner.linear_density is not None and owner.density is not None:
         remedy = "linear_density stands for it; leave one out"
         yield f"{key}.density", _shown(owner, "density"), remedy
@@ -96,7 +109,12 @@ def _material(scene: Scene) -> Iterator[Breach]:
 def _needed(scene: Scene, key: str, part, own) -> Iterator[Breach]:
     ranges, measured = numbers_of(Scene), part.stiffness
     where = "" if own is scene else ", here or in [rod]"
-    if scene.material is not None:
+    if isinstance(own.material, AbstractEnergy) and own is not scene:
+        remedy = "a law of one's own is that of the whole rod: give it to the scene"
+        yield f"{key}.material", type(own.material).__name__, remedy
+    elif isinstance(part.material, AbstractRubber):
+        yield from _of_rubber(scene, key, part, own)
+    elif part.material is not None:
         pass  # it has moduli of its own
     elif measured is None:
         for name in ("young_modulus", "poisson_ratio"):
@@ -115,6 +133,28 @@ def _needed(scene: Scene, key: str, part, own) -> Iterator[Breach]:
                 yield f"{key}.{name}", _shown(own, name), remedy
     if part.density is None and part.linear_density is None:
         yield f"{key}.density", None, f"expected {ranges['density']}{where}; or linear_density"
+
+
+def _of_rubber(scene: Scene, key: str, part, own) -> Iterator[Breach]:
+    """What fibres cannot be made of, and what a law of the rod already says."""
+    if isinstance(part.section, GeneralSection):
+        remedy = "where the fibres are is not known; give another shape, or young_modulus"
+        yield f"{key}.section", "general", remedy
+    if own.material is None and own.poisson_ratio is not None:
+        remedy = "rod.material stands for it; leave it out, or give young_modulus, too"
+        yield f"{key}.poisson_ratio", _shown(own, "poisson_ratio"), remedy
+    if isinstance(scene.material, AbstractEnergy):
+        remedy = "the scene has a law of one's own for the whole rod; leave one out"
+        yield f"{key}.material", type(own.material).__name__, remedy
+
+
+def _relaxation(scene: Scene) -> Iterator[Breach]:
+    """That of a law of one's own, which has the same one everywhere."""
+    if isinstance(scene.material, AbstractEnergy):
+        for i, segment in enumerate(scene.segments or ()):
+            if segment.relaxation is not None:
+                remedy = "a law of one's own relaxes as a whole: give relaxation to the scene"
+                yield f"segments[{i}].relaxation", _shown(segment, "relaxation"), remedy
 
 
 def _names(scene: Scene) -> Iterator[Breach]:

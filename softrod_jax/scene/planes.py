@@ -17,11 +17,15 @@ import numpy as np
 from jax.core import Tracer
 from jaxtyping import Array, Bool, Float
 
+from softrod_jax.scene.materials import AbstractRubber
 from softrod_jax.scene.scene import PLANES, Scene
+from softrod_jax.scene.sections import Circle
 from softrod_jax.scene.tendons import Tendons
 
 # Components off the plane that are smaller than this part of the largest are rounding errors.
 _ROUNDING = 1e-12
+# As far as holes on both sides of a plane may differ, in terms of the radius around them.
+_ALIKE = 1e-9
 
 
 @overload
@@ -156,7 +160,31 @@ def fits_plane(scene: Scene) -> Bool[Array, ""]:
     fits = jnp.array(True)
     for part in _parts(scene):
         fits &= ~jnp.any(_off_plane(part, jnp))
+    for _, holes, radius in _holes(scene):
+        fits &= _is_mirrored(holes, radius, scene.plane or PLANES[0])
     return fits
+
+
+def _holes(scene: Scene):
+    """Those in sections of rubber: the key, (holes, 3), and the radius around them."""
+    prefix = "rod" if scene.segments is None else "segments[{}]"
+    for i, part in enumerate(scene.parts):
+        if isinstance(part.material, AbstractRubber):
+            for name in ("section", "section_at_end"):
+                section = getattr(part, name)
+                if isinstance(section, Circle) and section.holes is not None:
+                    yield f"{prefix.format(i)}.{name}.holes", section.holes, section.radius
+
+
+def _is_mirrored(holes, radius, plane: str):
+    """Whether they are the same on both sides of the plane, as odd moments tell.
+
+    Where stiffness changes with strain, a section that bends in a plane stays in it only so.
+    """
+    across, off = (holes[:, i] / radius for i in (PLANES.index(plane), 1 - PLANES.index(plane)))
+    weight = holes[:, 2] ** 2
+    odd = [weight @ (across**i * off**j) for j in (1, 3, 5) for i in range(6 - j)]
+    return (abs(jnp.stack(odd)) <= _ALIKE * weight.sum()).all()
 
 
 def misfits(scene: Scene) -> Iterator[tuple[str, object, str]]:
@@ -178,6 +206,11 @@ def misfits(scene: Scene) -> Iterator[tuple[str, object, str]]:
                 f'not in the plane "{scene.plane}" of the scene; expected 0 for {part.names}, '
                 "or no plane",
             )
+    for key, holes, radius in _holes(scene):
+        if not isinstance(holes, Tracer) and not isinstance(radius, Tracer):
+            if not _is_mirrored(holes, radius, scene.plane):
+                remedy = f'not the same on both sides of the plane "{scene.plane}"; turn them'
+                yield key, np.asarray(holes).tolist(), remedy + ", or no plane"
 
 
 def _without_meaning(scene: Scene) -> Iterator[tuple[str, object, str]]:

@@ -32,6 +32,8 @@ def scene_of(document: dict, file: str) -> Scene:
     ]
     if "segments" in top:
         _only_segments(top, rod, file)
+    for i, segment in enumerate(segments):
+        _linear_with_moduli(top["segments"][i], segment, rod, f"{file} segments[{i}]")
     mass = None
     if "payload" in top:
         mass = read_table(top["payload"], schema.PAYLOAD, f"{file} payload")["mass"]
@@ -77,7 +79,17 @@ def _shaped(table: dict, keys: schema.Schema, where: str) -> dict:
     if "stiffness" in values:
         numbers = read_table(values["stiffness"], schema.STIFFNESS, f"{where}.stiffness")
         values["stiffness"] = Stiffness(**numbers)
+    if "material" in values:
+        values["material"] = _law(values["material"], f"{where}.material")
     return values
+
+
+def _law(table: dict, where: str):
+    """The law of a material; `None` for the linear one."""
+    if table.get("law") == schema.LINEAR:
+        read_table(table, {"law": schema.LAW}, where)
+        return None
+    return _one_of(table, "law", schema.LAW, schema.LAWS, where)
 
 
 def _only_segments(top: dict, rod: dict, file: str) -> None:
@@ -92,6 +104,14 @@ def _only_segments(top: dict, rod: dict, file: str) -> None:
             raise SceneError(complaint(f"{file} rod.{name}", top["rod"][name], remedy))
 
 
+def _linear_with_moduli(table: dict, segment: Segment, rod: dict, where: str) -> None:
+    """Raise `SceneError` for a linear segment of a rod of rubber that does not say how stiff."""
+    own = segment.young_modulus is not None or segment.stiffness is not None
+    if "material" in table and segment.material is None and rod.get("material") and not own:
+        remedy = "the rod has another law; give young_modulus and poisson_ratio, too, or stiffness"
+        raise SceneError(complaint(f"{where}.material.law", schema.LINEAR, remedy))
+
+
 def _section(table: dict, where: str):
     return jax.tree.map(jnp.asarray, _of_shape(table, schema.SHAPE, schema.SECTIONS, where))
 
@@ -100,12 +120,23 @@ def _of_shape(
     table: dict, word: schema.Word, kinds: Mapping[Any, tuple[Callable, schema.Schema]], where: str
 ):
     """A section or a path: one of several classes, by the table's `shape`."""
-    if "shape" not in table:
-        raise SceneError(f"{where}.shape is missing: expected one of {', '.join(kinds)}")
-    kind, keys = kinds[word.read(table["shape"], f"{where}.shape")]
-    values = read_table(table, {"shape": word, **keys}, where)
+    return _one_of(table, "shape", word, kinds, where)
+
+
+def _one_of(
+    table: dict,
+    name: str,
+    word: schema.Word,
+    kinds: Mapping[Any, tuple[Callable, schema.Schema]],
+    where: str,
+):
+    """One of several classes, by the word that the table has under `name`."""
+    if name not in table:
+        raise SceneError(f"{where}.{name} is missing: expected one of {', '.join(word.words)}")
+    kind, keys = kinds[word.read(table[name], f"{where}.{name}")]
+    values = read_table(table, {name: word, **keys}, where)
     fields = {key: field for field, key in schema.PATH_KEYS.items()}
-    return kind(**{fields.get(k, k): v for k, v in values.items() if k != "shape"})
+    return kind(**{fields.get(k, k): v for k, v in values.items() if k != name})
 
 
 def _tendons(entries: list) -> Tendons | None:

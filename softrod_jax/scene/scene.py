@@ -17,16 +17,18 @@ from softrod_jax.foundation.numbers import (
     Given,
     Maybe,
     QuaternionLike,
+    RowsLike,
     ScalarLike,
     VectorLike,
 )
 from softrod_jax.scene.acting import AbstractDistributedLoad, AbstractEnergy
 from softrod_jax.scene.chambers import Chambers
 from softrod_jax.scene.loads import DEAD_LOAD, Load, Marker, Mass, Payload, TipLoad
+from softrod_jax.scene.materials import AbstractRubber
 from softrod_jax.scene.printing import described
 from softrod_jax.scene.ranges import number, numbers_of
 from softrod_jax.scene.sections import Section
-from softrod_jax.scene.segments import DAMPING, Segment, Stiffness
+from softrod_jax.scene.segments import DAMPING, RELAXATION, Segment, Stiffness, stays_stiff
 from softrod_jax.scene.tendons import Tendons
 
 # The planes that a scene may be in: across the rod, and along it.
@@ -43,11 +45,14 @@ class Scene(eqx.Module):
     - `segments`: parts of the rod, from base to tip, each with a length and a section of its own,
       and whatever else is not as this scene says. `length` is then their sum, and `section` None.
     - `section_at_end`: the section at the tip, to which its dimensions change linearly.
-    - `material`: a law of one's own instead of the linear one; `energies` and `distributed_loads`:
-      whatever else acts, see `AbstractEnergy` and `AbstractDistributedLoad`.
+    - `material` instead of the moduli: `NeoHookean` or `MooneyRivlin` for rubber and silicone, or a
+      law of one's own, see `AbstractEnergy`. `energies` and `distributed_loads`: whatever else
+      acts, see `AbstractEnergy` and `AbstractDistributedLoad`.
     - `stiffness` instead of the moduli and `linear_density` [kg/m] instead of the density.
     - `bending_damping` B_bt [N m^2 s] and `shear_damping` B_se [N s]: Kelvin-Voigt, a number
       or (3,) for x, y, z of the body frame.
+    - `relaxation`: branches (g, tau) of a Prony series, rows of a part of the stiffness, which all
+      else says as it is at once, and a time [s] in which that part relaxes. Equilibria are relaxed.
     - `gravity` [m/s^2], (3,), base frame.
     - `drag_coefficient` C [kg/m^2]: square-law drag per unit length, a number or (3,).
     - `shear_correction` [-] scales GA; 1 as in Roshanfar et al. (2024).
@@ -94,7 +99,8 @@ class Scene(eqx.Module):
     loads: Sequence[Load] | None = None
     masses: Sequence[Mass] | None = None
     markers: Sequence[Marker] | None = None
-    material: AbstractEnergy | None = None
+    material: AbstractEnergy | AbstractRubber | None = None
+    relaxation: Maybe[RowsLike] = number(**RELAXATION)
     energies: Sequence[AbstractEnergy] | None = None
     distributed_loads: Sequence[AbstractDistributedLoad] | None = None
     inextensible: bool = eqx.field(static=True, default=False)
@@ -122,6 +128,7 @@ class Scene(eqx.Module):
     def relations(self):
         """What must hold besides the ranges: a field, whether it does, and what is expected."""
         v, h = self.rest_stretch, self.base_quaternion
+        yield from stays_stiff(self.relaxation)
         if v is not None:
             yield "rest_stretch", v[2] > 0, lambda: "the third number, along the rod, is above 0"
         if h is not None:
@@ -143,6 +150,11 @@ class Scene(eqx.Module):
         # What is measured stands instead of what it follows from, and the other way round.
         if segment.stiffness is None and segment.young_modulus is not None:
             shared["stiffness"] = None
+        if segment.material is not None:
+            shared |= dict.fromkeys(("stiffness", "young_modulus", "poisson_ratio"))
+        elif isinstance(self.material, AbstractRubber):
+            if segment.stiffness is not None or segment.young_modulus is not None:
+                shared["material"] = None
         if segment.linear_density is None and segment.density is not None:
             shared["linear_density"] = None
         return dataclasses.replace(segment, **shared)
@@ -162,7 +174,9 @@ SHARED = (
     "poisson_ratio",
     "density",
     "stiffness",
+    "material",
     "linear_density",
+    "relaxation",
     "bending_damping",
     "shear_damping",
     "drag_coefficient",

@@ -13,6 +13,7 @@ import numpy as np
 
 from softrod_jax.scene.chambers import Chambers
 from softrod_jax.scene.loads import FRAMES, Load, Marker, Mass, Payload, TipLoad
+from softrod_jax.scene.materials import MooneyRivlin, NeoHookean
 from softrod_jax.scene.ranges import Number, is_required, numbers_of
 from softrod_jax.scene.scene import PLANES, Scene
 from softrod_jax.scene.sections import Annulus, Circle, GeneralSection, Rectangle
@@ -177,6 +178,7 @@ ROD: Schema = {
     "section_at_end": Table(),
     **_numbers_of(Scene),
     "stiffness": Table(),
+    "material": Table(),
     "inextensible": Flag(),
     "plane": Word(PLANES),
 }
@@ -197,9 +199,17 @@ SEGMENT: Schema = {
     "section_at_end": Table(),
     **_numbers_of(Segment),
     "stiffness": Table(),
+    "material": Table(),
     "intervals": Count(),
 }
 STIFFNESS = _numbers_of(Stiffness)
+# The linear law is that of a scene without a material, whose moduli are keys beside it.
+LINEAR = "linear"
+LAWS: dict[str, tuple[type, Schema]] = {
+    "neo_hookean": (NeoHookean, _numbers_of(NeoHookean)),
+    "mooney_rivlin": (MooneyRivlin, _numbers_of(MooneyRivlin)),
+}
+LAW = Word((LINEAR, *LAWS), required=True)
 
 # A tendon has an offset or a path: that is checked when it is read.
 TENDON: Schema = {

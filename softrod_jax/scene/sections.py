@@ -17,30 +17,78 @@ import math
 
 import equinox as eqx
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
-from softrod_jax.foundation.numbers import Given, PairLike, ScalarLike
+from softrod_jax.foundation.numbers import Given, Maybe, PairLike, RowsLike, ScalarLike
 from softrod_jax.scene.ranges import number
+
+# Rounding of holes that touch, and of what holes in a ring take away, in terms of the radius.
+_APART, _MIDDLE = 1 - 1e-9, 1e-6
 
 
 class Circle(eqx.Module):
-    """A solid circle."""
+    """A circle, solid but for its `holes`: rows of x, y and radius, (holes, 3).
+
+    Holes must leave the axis in the middle of what is left, and it as stiff in bending one way as
+    another: one in the centre, and others in a ring. In torsion, a hole beside the axis takes away
+    twice its polar moment there, for shear stress runs around it. That is so of small holes far
+    from each other and from the edge: of the robot of Roshanfar et al. (2024), radius 6 mm with
+    holes of 1.5 mm in the middle and 0.75 mm 4 mm off, the constant is 0.1 % too large.
+    """
 
     radius: Given[ScalarLike] = number("m", above=0, harmless=0.1)
+    holes: Maybe[RowsLike] = number(
+        "m", optional=True, sizes=(3,), rows=1, harmless=((0.0, 0.0, 1e-3), (0.0, 0.0, 1e-3))
+    )
 
     @property
     def area(self) -> ScalarLike:
-        return jnp.pi * self.radius**2
+        solid = jnp.pi * self.radius**2
+        return solid if self.holes is None else solid - jnp.sum(self._hole_areas)
 
     @property
     def second_moments(self) -> Float[Array, "2"]:
-        return jnp.pi * self.radius**4 / 4 * jnp.ones(2)
+        solid = jnp.pi * self.radius**4 / 4 * jnp.ones(2)
+        if self.holes is None:
+            return solid
+        x, y, a = self.holes.T
+        square = jnp.stack([y, x]) ** 2 + a**2 / 4
+        return solid - square @ self._hole_areas
 
     @property
     def torsion_constant(self) -> ScalarLike:
-        return jnp.pi * self.radius**4 / 2
+        solid = jnp.pi * self.radius**4 / 2
+        if self.holes is None:
+            return solid
+        x, y, a = self.holes.T
+        return solid - self._hole_areas @ (a**2 / 2 + 2 * (x**2 + y**2))
+
+    @property
+    def _hole_areas(self) -> Float[Array, "holes"]:
+        assert self.holes is not None, "a circle with holes"
+        return jnp.pi * self.holes[:, 2] ** 2
+
+    def relations(self):
+        """What must hold between the numbers: a field, whether it does, and what is expected."""
+        holes, R = self.holes, self.radius
+        if holes is None:
+            return
+        x, y, a = holes.T
+        r = _distance(holes)
+        inside = ((a > 0) & (r + a < R)).all()
+        apart = abs((x + 1j * y)[:, None] - (x + 1j * y)) >= (a[:, None] + a) * _APART
+        apart = (apart | np.eye(len(x), dtype=bool)).all()
+        size = _MIDDLE * R**4
+        middle = (abs(R * (a**2 @ x)) <= size) & (abs(R * (a**2 @ y)) <= size)
+        middle &= (abs(a**2 @ (x * y)) <= size) & (abs(a**2 @ (x**2 - y**2)) <= size)
+        expected = f"expected rows of x, y and a radius above 0, [m], within radius = {R}"
+        yield "holes", inside, lambda: expected
+        yield "holes", apart, lambda: "expected holes that do not run into each other"
+        yield "holes", middle, lambda: "expected the same around the axis: a ring of three or more"
 
     def contains(self, offset):
+        # A hole counts as inside: a chamber or a tendon may run through it.
         return _distance(offset) <= self.radius
 
 

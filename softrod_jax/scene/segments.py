@@ -1,5 +1,7 @@
 """Segments: parts of the rod with a section, a material and a shape of their own."""
 
+from typing import Any
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -10,12 +12,20 @@ from softrod_jax.foundation.numbers import (
     Given,
     Maybe,
     PairLike,
+    RowsLike,
     ScalarLike,
     VectorLike,
 )
+from softrod_jax.scene.acting import AbstractEnergy
+from softrod_jax.scene.materials import AbstractRubber
 from softrod_jax.scene.ranges import number
 from softrod_jax.scene.sections import Section
 
+# Parts of the stiffness and times [s], and a stand-in that leaves most of it.
+RELAXATION: dict[str, Any] = {
+    **{"optional": True, "sizes": (2,), "rows": 1, "above": 0},
+    "harmless": ((1e-3, 1.0), (1e-3, 1.0)),
+}
 DAMPING = {"optional": True, "sizes": (0, 3), "at_least": 0, "zero_is_absent": True}
 
 
@@ -39,6 +49,7 @@ class Segment(eqx.Module):
     - `length` [m]; `section`: at its beginning, and throughout where there is no `section_at_end`,
       to which the dimensions change linearly (the same shape).
     - The others as in `Scene`, for this segment. What is `None` here is as the scene says.
+    - `material`: `NeoHookean` or `MooneyRivlin`; a law of one's own is the scene's.
     - `intervals` of the grid; chosen where `None`.
     """
 
@@ -49,6 +60,8 @@ class Segment(eqx.Module):
     poisson_ratio: Maybe[ScalarLike] = number(optional=True, above=-1, below=0.5)
     density: Maybe[ScalarLike] = number("kg/m^3", optional=True, above=0, harmless=1.0)
     stiffness: Stiffness | None = None
+    material: AbstractEnergy | AbstractRubber | None = None
+    relaxation: Maybe[RowsLike] = number(**RELAXATION)
     linear_density: Maybe[ScalarLike] = number("kg/m", optional=True, above=0, harmless=1.0)
     bending_damping: Maybe[DiagonalLike] = number("N m^2 s", **DAMPING)
     shear_damping: Maybe[DiagonalLike] = number("N s", **DAMPING)
@@ -82,8 +95,17 @@ class Segment(eqx.Module):
     def relations(self):
         """What must hold besides the ranges: a field, whether it does, and what is expected."""
         v = self.rest_stretch
+        yield from stays_stiff(self.relaxation)
         if v is not None:
             yield "rest_stretch", v[2] > 0, lambda: "the third number, along the rod, is above 0"
+
+
+def stays_stiff(relaxation):
+    """The rule that branches leave some stiffness for ever, as `relations` yield it."""
+    if relaxation is not None:
+        left = 1 - relaxation[..., 0].sum(-1)
+        expected = "parts of the stiffness, [[g, tau [s]], ...], whose sum is below 1"
+        yield "relaxation", left > 0, lambda: expected
 
 
 def section_between(section: Section, at_end: Section | None, x):

@@ -10,6 +10,7 @@ from softrod_jax.scene.schema import SceneError
 from softrod_jax.scene.tendons import Tendons
 
 _SECTIONS = {kind: shape for shape, (kind, _) in schema.SECTIONS.items()}
+_LAWS = {kind: law for law, (kind, _) in schema.LAWS.items()}
 _PATHS = {kind: shape for shape, (kind, _) in schema.PATHS.items()}
 
 
@@ -64,15 +65,23 @@ def _shaped(owner, keys: schema.Schema, where: str) -> dict:
             table[name] = _with_shape(section, _SECTIONS, schema.SECTIONS, f"{where}.{name}")
     if owner.stiffness is not None:
         table["stiffness"] = _values(owner.stiffness, schema.STIFFNESS)
+    if owner.material is not None:
+        place = f"{where}.material"
+        table["material"] = _with_word("law", owner.material, _LAWS, schema.LAWS, place)
     return table
 
 
 def _with_shape(part, shapes: dict, kinds: dict, where: str) -> dict:
     """A section or a path, of which there are several classes."""
-    if type(part) not in shapes:
+    return _with_word("shape", part, shapes, kinds, where)
+
+
+def _with_word(name: str, part, words: dict, kinds: dict, where: str) -> dict:
+    """What there are several classes of, with the word for its own under `name`."""
+    if type(part) not in words:
         raise SceneError(f"{where}: a {type(part).__name__} has no form in a scene file")
-    shape = shapes[type(part)]
-    return {"shape": shape, **_values(part, kinds[shape][1])}
+    word = words[type(part)]
+    return {name: word, **_values(part, kinds[word][1])}
 
 
 def _tendons(tendons, file: str) -> list[dict]:

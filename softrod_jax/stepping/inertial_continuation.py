@@ -17,6 +17,7 @@ from softrod_jax.bvp.equations import Equations, Unknowns, loads_of, with_loads
 from softrod_jax.bvp.newton import NewtonOptions, ReusedFactors
 from softrod_jax.foundation.results import RESULTS
 from softrod_jax.rod.ode import History
+from softrod_jax.rod.relaxation import Crept
 
 # The way: up to 1 the part of the step, from there to 2 the part of the change of the loads.
 _GOAL = 2.0
@@ -29,11 +30,15 @@ _AHEAD = 0.1
 
 
 class Before(NamedTuple):
-    """The loads that a step comes from, the strains' rates there, the last factors."""
+    """The loads that a step comes from, the strains' rates there, the last factors.
+
+    `crept`: what dashpots had crept, (points, branches, strain), or `None`.
+    """
 
     loads: list
     rate: Float[Array, "points strain"]
     reused: ReusedFactors
+    crept: Crept | None = None
 
 
 class _Way(NamedTuple):
@@ -63,7 +68,7 @@ def search_by_inertia(equations: Equations, options: NewtonOptions, U, before: B
     def on_the_way(state):
         """The step as far as the next try goes."""
         assert equations.history is not None, "a step of a motion"
-        c0, strain_h, velocity_h = equations.history
+        c0, strain_h, velocity_h, crept_h = equations.history
         start = equations.fields(U)
         _, q, w, _, _ = equations.layout.split(start.y)
         velocity = jnp.concatenate([q, w], -1)
@@ -76,7 +81,11 @@ def search_by_inertia(equations: Equations, options: NewtonOptions, U, before: B
         part, change = jnp.minimum(at, 1.0), jnp.maximum(at - 1.0, 0.0)
         # c (y - start) + the rate at `start`: with c = c0 the step itself.
         c = c0 / part
-        history = History(c, strain_h + (c0 - c) * strain, velocity_h + (c0 - c) * velocity)
+        if crept_h is not None and before.crept is not None:
+            crept_h = crept_h + (c0 - c) * before.crept
+        history = History(
+            c, strain_h + (c0 - c) * strain, velocity_h + (c0 - c) * velocity, crept_h
+        )
         between = [change * a + (1 - change) * b for a, b in zip(loads, before.loads)]
         moving = equations.start(start._replace(strain=strain))
         return history, between, chosen(state.done == 0.0, moving, state.U)

@@ -22,6 +22,7 @@ from softrod_jax.rod.friction import Slid
 from softrod_jax.rod.grid import Grid
 from softrod_jax.rod.ode import History, Layout, layout_of, slid_after
 from softrod_jax.rod.reduction import make_rod
+from softrod_jax.rod.relaxation import Crept
 from softrod_jax.scene.inputs import Inputs, good_inputs, zero_unless
 from softrod_jax.scene.scene import Scene
 from softrod_jax.stepping.inertial_continuation import Before, search_by_inertia
@@ -38,10 +39,14 @@ _RISE = 0.5
 
 
 class Fields(NamedTuple):
-    """What has a history: strains (v, u) and velocities (q, omega), (points, 6) each."""
+    """What has a history: strains (v, u) and velocities (q, omega), (points, 6) each.
+
+    Of a rod that relaxes, also what dashpots have crept, (points, branches, 6).
+    """
 
     strain: Float[Array, "points strain"]
     velocity: Float[Array, "points pair"]
+    crept: Crept | None = None
 
 
 class Beginning(NamedTuple):
@@ -62,7 +67,8 @@ class Progress(NamedTuple):
 
     - `guess`: the last solution; `multipliers`: those of it, with their derivatives; `slid`: how
       tendons with friction have slid until then.
-    - `loads` and `history`: those of the last solve; `rate`: that of the strains there; `factors`
+    - `loads` and `history`: those of the last solve; `rate`: that of the strains there; `crept`:
+      what dashpots have crept there, or `None`; `factors`
       of the last Jacobian, made with `c0`, which is 0 where they serve no longer.
     - `result`: the code so far. `iterations` and `correction`: in this step.
     - `error`: estimated, along the rod; `time_error`: estimated, of the tip so far, in lengths.
@@ -83,6 +89,7 @@ class Progress(NamedTuple):
     error: Float[Array, ""]
     part: Float[Array, ""]
     time_error: Float[Array, ""]
+    crept: Crept | None = None
 
 
 class State(NamedTuple):
@@ -138,7 +145,11 @@ class MovingRod(NamedTuple):
             guess = guess._replace(y=self.layout.with_losses_and_slips(guess.y, *own))
         still = jnp.zeros((*guess.strain.shape[:-1], self.layout.pair))
         steady = jnp.zeros_like(guess.strain)
-        history = History(jnp.ones(()), steady, still)
+        relaxation, crept = self.rod.relaxation, None
+        if relaxation is not None:
+            crept = relaxation.at_rest(guess.strain - self.rod.rest_strain)
+        none_crept = None if crept is None else jnp.zeros_like(crept)
+        history = History(jnp.ones(()), steady, still, none_crept)
         equations = Equations(self.method, self.layout, self.rod, history, guess.strain)
         none = jnp.zeros(())
         progress = Progress(
@@ -156,8 +167,9 @@ class MovingRod(NamedTuple):
             error=none,
             part=jnp.ones(()),
             time_error=none,
+            crept=jax.lax.stop_gradient(crept),
         )
-        return State(self.scheme.start(Fields(guess.strain, still), guess), progress)
+        return State(self.scheme.start(Fields(guess.strain, still, crept), guess), progress)
 
     def _slid_at_first(self, begin: Beginning | None) -> Slid | None:
         if self.rod.friction is None:
@@ -178,8 +190,9 @@ class MovingRod(NamedTuple):
         alive = progress.result == RESULTS.successful
         rod = scaled_loads(rod, jnp.where(alive, 1.0, 0.0))
         usable = alive & (progress.c0 == c0)
-        slowed = slow_unless(alive, History(c0, history.strain, history.velocity))
-        before = Before(progress.loads, progress.rate, ReusedFactors(progress.factors, usable))
+        slowed = slow_unless(alive, History(c0, *history))
+        reused = ReusedFactors(progress.factors, usable)
+        before = Before(progress.loads, progress.rate, reused, progress.crept)
         solved = solve_boundary_value(
             self.method,
             self.layout,
@@ -195,6 +208,10 @@ class MovingRod(NamedTuple):
         found, fields = solved.found, solved.fields
         result = jnp.where(good, found.result, RESULTS.bad_input).astype(jnp.int32)
         _, q, w, _, _ = self.layout.split(fields.y)
+        crept = None
+        if rod.relaxation is not None and slowed.crept is not None:
+            e = fields.strain - rod.rest_strain
+            crept = rod.relaxation.crept(slowed.c0, slowed.crept, e)
         # No answer depends on where the next search starts, or on estimates: they have no
         # derivatives to carry along.
         progress = progress._replace(
@@ -209,8 +226,9 @@ class MovingRod(NamedTuple):
             iterations=progress.iterations + found.iterations,
             correction=jnp.maximum(progress.correction, found.correction),
             history=jax.lax.stop_gradient(slowed),
+            crept=jax.lax.stop_gradient(crept),
         )
-        return Fields(fields.strain, jnp.concatenate([q, w], -1)), progress
+        return Fields(fields.strain, jnp.concatenate([q, w], -1), crept), progress
 
     def substep(
         self, inputs: StepInputs, first, part, coefficients, state: State
@@ -237,7 +255,7 @@ class MovingRod(NamedTuple):
         unless_failed = lambda new, old: jax.tree.map(lambda a, b: jnp.where(ok, a, b), new, old)
         memory = unless_failed(new_memory, jax.lax.stop_gradient(memory))
         after = after._replace(time_error=time_error)
-        last = ("guess", "multipliers", "slid", "loads", "rate", "history", "time_error")
+        last = ("guess", "multipliers", "slid", "loads", "rate", "history", "time_error", "crept")
         pick = lambda progress: {name: getattr(progress, name) for name in last}
         return State(memory, after._replace(**unless_failed(pick(after), pick(progress)))), errors
 

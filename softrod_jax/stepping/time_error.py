@@ -103,6 +103,7 @@ def rate_of_change(
     other, (x + iy)_tt + 2 a (x + iy)_t + (omega^2 - i kappa) (x + iy) = 0. A moment on the way
     counts as if it were at the tip, which is cautious.
     """
+    rod = rod.relaxed
     if rod.B_bt is None:
         swings = decay = jnp.zeros(())
     else:
