@@ -9,7 +9,15 @@ import argparse
 from dataclasses import replace
 from pathlib import Path
 
-from calibration.cli.common import UsageError, note, number, positive, prepare_jax
+from calibration.cli.common import (
+    UsageError,
+    bound_in,
+    names_in,
+    note,
+    number,
+    positive,
+    prepare_jax,
+)
 from calibration.cli.exclusive import alone_in
 
 _EXAMPLE = Path(__file__).parents[1] / "examples"
@@ -274,23 +282,6 @@ def _fitted(args, scene, recordings, held_out, out: Path):
         resume=args.resume,
         progress=True,
     )
-
-
-def names_in(text: str | None) -> tuple[str, ...]:
-    """Names that are separated by commas."""
-    return () if text is None else tuple(x.strip() for x in text.split(","))
-
-
-def bound_in(text: str) -> tuple[str, tuple[float, float]]:
-    """NAME=LOW:HIGH."""
-    name, _, range_ = text.rpartition("=")
-    try:
-        low, high = (float(x) for x in range_.split(":"))
-    except ValueError:
-        raise UsageError(
-            f"--bounds {text}: expected NAME=LOW:HIGH, such as young_modulus=1e5:1e6"
-        ) from None
-    return name.strip(), (low, high)
 
 
 def _drift(text: str) -> tuple[str, float]:

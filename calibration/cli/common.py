@@ -211,3 +211,20 @@ def _finite(value):
     if isinstance(value, list):
         return [_finite(v) for v in value]
     return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+def names_in(text: str | None) -> tuple[str, ...]:
+    """Names that are separated by commas."""
+    return () if text is None else tuple(x.strip() for x in text.split(","))
+
+
+def bound_in(text: str) -> tuple[str, tuple[float, float]]:
+    """NAME=LOW:HIGH."""
+    name, _, range_ = text.rpartition("=")
+    try:
+        low, high = (float(x) for x in range_.split(":"))
+    except ValueError:
+        raise UsageError(
+            f"--bounds {text}: expected NAME=LOW:HIGH, such as young_modulus=1e5:1e6"
+        ) from None
+    return name.strip(), (low, high)

@@ -1,9 +1,10 @@
 """`softrod calibrate --postures`: each row of a log is an equilibrium."""
 
+import contextlib
 import os
 from pathlib import Path
 
-from calibration.cli.common import UsageError, prepare_jax
+from calibration.cli.common import UsageError, bound_in, names_in, prepare_jax
 from calibration.cli.exclusive import alone_in
 
 _FOR_MOTIONS = ("per_recording", "held_out", "resume", "optimiser", "profile", "explain", "dt")
@@ -12,8 +13,6 @@ _FOR_MOTIONS += ("mapping", "condition", "look", "window", "split", "drift", "to
 
 def run_postures(args) -> int:
     """As `calibration.cli.calibrate.run`."""
-    from calibration.cli.calibrate import bound_in, names_in
-
     scene_path, logs = _what(args)
     for name in _FOR_MOTIONS:
         if getattr(args, name):
@@ -28,8 +27,9 @@ def run_postures(args) -> int:
     import jax
 
     prepare_jax()
-    # Rows do not wait for each other: all cores work.
-    jax.config.update("jax_num_cpu_devices", os.cpu_count() or 1)
+    # Rows do not wait for each other: all cores work, unless JAX has begun with fewer.
+    with contextlib.suppress(RuntimeError):
+        jax.config.update("jax_num_cpu_devices", os.cpu_count() or 1)
     import softrod_jax as sr
 
     try:

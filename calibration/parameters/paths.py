@@ -19,7 +19,6 @@ import numpy as np
 
 import softrod_jax as sr
 from calibration.experiment.setup import Setup
-from calibration.parameters.catalogue import Parameter
 from calibration.parameters.scales import AbstractScale, Between, Factor, Shift
 from softrod_jax.scene.chambers import Chambers
 from softrod_jax.scene.ranges import numbers_of, singular
@@ -43,10 +42,13 @@ def is_path(name: str) -> bool:
 
 
 @dataclass(frozen=True)
-class PathParameter(Parameter):
-    """The numbers at the places of a path, changed together."""
+class PathParameter:
+    """The numbers at the places of a path, changed together; otherwise as `Parameter`."""
 
-    places: tuple[_Place, ...] = ()
+    name: str
+    unit: str
+    scale: AbstractScale
+    places: tuple[_Place, ...]
 
     def get(self, setup: Setup):
         """The values, (numbers,), or one number."""
@@ -81,7 +83,7 @@ def path_parameter(scene: sr.Scene, name: str) -> PathParameter:
         raise ValueError(f"fit: {name!r} ties numbers of the units {sorted(units)}; they differ")
     places = tuple(place for own, _, _ in found for place in own)
     _, unit, scale = found[0]
-    return PathParameter(name, unit or "1", lambda setup: None, scale, places=places)
+    return PathParameter(name, unit or "1", scale, places)
 
 
 def _resolved(scene: sr.Scene, path: str, name: str):

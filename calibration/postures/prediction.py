@@ -13,7 +13,7 @@ from jaxtyping import Array, Bool, Float
 import softrod_jax as sr
 from calibration.experiment.setup import Setup, rotated
 from calibration.parameters.catalogue import Parameter, catalogue
-from calibration.parameters.paths import is_path, path_parameter
+from calibration.parameters.paths import PathParameter, is_path, path_parameter
 from calibration.postures.data import NOISE, TURN, Postures
 from softrod_jax.scene.inputs import Inputs
 from softrod_jax.scene.tendons import rubbing
@@ -66,7 +66,7 @@ class Model:
 
     setup: Setup
     postures: Postures
-    parameters: tuple[Parameter, ...]
+    parameters: tuple[Parameter | PathParameter, ...]
     method: sr.Collocation
 
     @property
@@ -138,7 +138,7 @@ class Model:
         return np.concatenate(trials), (*blocks, jnp.asarray(there))
 
 
-def moved(setup: Setup, parameters: tuple[Parameter, ...], theta) -> Setup:
+def moved(setup: Setup, parameters: tuple[Parameter | PathParameter, ...], theta) -> Setup:
     """The setup with the parameters at theta."""
     for parameter, coordinate in zip(parameters, theta, strict=True):
         value = parameter.scale.value(parameter.get(setup), coordinate)
@@ -146,7 +146,7 @@ def moved(setup: Setup, parameters: tuple[Parameter, ...], theta) -> Setup:
     return setup
 
 
-def parameters_of(setup: Setup, names: tuple[str, ...]) -> tuple[Parameter, ...]:
+def parameters_of(setup: Setup, names: tuple[str, ...]) -> tuple[Parameter | PathParameter, ...]:
     """Those of these names, which may be paths."""
     known, _ = catalogue(setup.scene)
     return tuple(path_parameter(setup.scene, n) if is_path(n) else known[n] for n in names)
