@@ -33,6 +33,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
+from softrod_jax.foundation.products import product
 from softrod_jax.rod.constants import Rod
 from softrod_jax.rod.constitutive import compliance, local_problem, recover_strain
 from softrod_jax.rod.rotations import cross, hat, hats, to_base, to_body
@@ -179,7 +180,7 @@ def rod_ode_jacobian(
     f_y, f_strain = _partial_derivatives(y, strain, rod, layout, history)
     problem = pointwise_problem(y, rod, history)
     C = compliance(problem, strain)
-    by_wrench = f_strain / problem.k[..., None, :] if problem.explicit else f_strain @ C
+    by_wrench = f_strain / problem.k[..., None, :] if problem.explicit else product(f_strain, C)
     n = rod.strain_size
     state = jnp.concatenate([f_y[..., :-n], f_y[..., -n:] + by_wrench], -1)
     return Jacobian(state, C, by_wrench)
