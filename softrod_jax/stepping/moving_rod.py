@@ -5,6 +5,7 @@ into one solve or several, each with a history of its own (paper eq. 14); a solv
 one before it, with its factors where these still serve.
 """
 
+import functools
 from typing import Any, NamedTuple
 
 import jax
@@ -16,6 +17,7 @@ from softrod_jax.bvp.equations import Equations, loads_of, scaled_loads
 from softrod_jax.bvp.method import AbstractMethod, Guess
 from softrod_jax.bvp.newton import NewtonOptions, ReusedFactors, no_factors
 from softrod_jax.bvp.unloaded import unloaded_guess
+from softrod_jax.foundation.compiling import on_cpu
 from softrod_jax.foundation.results import RESULTS
 from softrod_jax.rod.constants import Rod, fastest_wave, inner_strain
 from softrod_jax.rod.grid import Grid
@@ -23,7 +25,7 @@ from softrod_jax.rod.ode import History, Layout, layout_of
 from softrod_jax.rod.reduction import make_rod
 from softrod_jax.scene.inputs import Inputs, good_inputs, zero_unless
 from softrod_jax.scene.scene import Scene
-from softrod_jax.stepping.inertial_continuation import Before, search_by_inertia
+from softrod_jax.stepping.inertial_continuation import Before, SharedFactors, search_by_inertia
 from softrod_jax.stepping.scheme import AbstractTimeScheme, LocalErrors
 from softrod_jax.stepping.step_inputs import StepInputs
 from softrod_jax.stepping.time_error import accumulated
@@ -61,6 +63,7 @@ class Progress(NamedTuple):
     - `guess`: the last solution; `multipliers`: those of it, with their derivatives.
     - `loads` and `history`: those of the last solve; `rate`: that of the strains there; `factors`
       of the last Jacobian, made with `c0`, which is 0 where they serve no longer.
+    - `stage`: of the step, on a GPU: all stages have the `factors` of the first. Else `None`.
     - `result`: the code so far. `iterations` and `correction`: in this step.
     - `error`: estimated, along the rod; `time_error`: estimated, of the tip so far, in lengths.
     - `part`: the length of the next substep, in steps, where errors choose it.
@@ -73,6 +76,7 @@ class Progress(NamedTuple):
     history: History
     factors: Any
     c0: Float[Array, ""]
+    stage: Int[Array, ""] | None
     result: Int[Array, ""]
     iterations: Int[Array, ""]
     correction: Float[Array, ""]
@@ -132,15 +136,18 @@ class MovingRod(NamedTuple):
         steady = jnp.zeros_like(guess.strain)
         history = History(jnp.ones(()), steady, still)
         equations = Equations(self.method, self.layout, self.rod, history, guess.strain)
-        none = jnp.zeros(())
+        none, factorise = jnp.zeros(()), equations.factorise
+        if not on_cpu():
+            factorise = functools.partial(factorise, single=True)
         progress = Progress(
             guess=guess,
             multipliers=multipliers,
             loads=loads_of(scaled_loads(self.rod, 0.0)),
             rate=steady,
             history=history,
-            factors=no_factors(equations.factorise, equations.start(guess)),
+            factors=no_factors(factorise, equations.start(guess)),
             c0=none,
+            stage=None if on_cpu() else jnp.zeros((), jnp.int32),
             result=jnp.where(good, result, RESULTS.bad_input).astype(jnp.int32),
             iterations=jnp.zeros((), jnp.int32),
             correction=none,
@@ -158,7 +165,13 @@ class MovingRod(NamedTuple):
         rod = scaled_loads(rod, jnp.where(alive, 1.0, 0.0))
         usable = alive & (progress.c0 == c0)
         slowed = slow_unless(alive, History(c0, history.strain, history.velocity))
-        before = Before(progress.loads, progress.rate, ReusedFactors(progress.factors, usable))
+        if progress.stage is None:
+            reused = ReusedFactors(progress.factors, usable)
+            before = Before(progress.loads, progress.rate, reused)
+        else:
+            new = progress.stage == 0
+            shared = SharedFactors(progress.factors, new, new | (progress.c0 == c0))
+            before = Before(progress.loads, progress.rate, None, shared)
         solved = solve_boundary_value(
             self.method,
             self.layout,
@@ -169,7 +182,7 @@ class MovingRod(NamedTuple):
             search_by_inertia,
             jax.lax.stop_gradient(before),
             # A stage of several is so close to the next that few need new factors.
-            reuse_exact=self.scheme.stages == 1,
+            reuse_exact=self.scheme.stages == 1 and progress.stage is None,
         )
         found, fields = solved.found, solved.fields
         result = jnp.where(good, found.result, RESULTS.bad_input).astype(jnp.int32)
@@ -182,11 +195,12 @@ class MovingRod(NamedTuple):
             loads=jax.lax.stop_gradient(loads_of(rod)),
             rate=jax.lax.stop_gradient(c0 * fields.strain + slowed.strain),
             factors=solved.factors,
-            c0=jnp.where(found.contraction < _REUSE, c0, 0.0),
+            c0=c0 if progress.stage is not None else jnp.where(found.contraction < _REUSE, c0, 0.0),
             result=jnp.where(progress.result == RESULTS.successful, result, progress.result),
             iterations=progress.iterations + found.iterations,
             correction=jnp.maximum(progress.correction, found.correction),
             history=jax.lax.stop_gradient(slowed),
+            stage=None if progress.stage is None else progress.stage + 1,
         )
         return Fields(fields.strain, jnp.concatenate([q, w], -1)), progress
 
@@ -195,6 +209,8 @@ class MovingRod(NamedTuple):
     ) -> tuple[State, LocalErrors]:
         """The part [first, first + part] of a step, and its local errors."""
         memory, progress = state
+        if progress.stage is not None:
+            progress = progress._replace(stage=jnp.zeros_like(progress.stage))
         rise = jnp.minimum(_RISE * self.crossing, 1.0)
 
         def solve(c0, history, at, progress):
