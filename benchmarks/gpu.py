@@ -72,10 +72,10 @@ from report import machine, table
 from timing import FITTED, with_values
 
 import softrod_jax as sr
-from softrod_jax.bvp import block_sweep, boundary_value, equations
+from softrod_jax.bvp import block_sweep
 from softrod_jax.bvp.equations import Equations
 from softrod_jax.bvp.unloaded import unloaded_guess
-from softrod_jax.foundation.compiling import compiler_options
+from softrod_jax.foundation.compiling import compiler_options, in_lockstep
 from softrod_jax.rod.constitutive import compliance, recover_strain
 from softrod_jax.rod.ode import History, layout_of, pointwise_problem
 from softrod_jax.rod.reduction import make_rod
@@ -96,6 +96,7 @@ class Setting:
     scheme: Any
     method: Any
     substeps: int = 1
+    tolerance: float = sr.NewtonOptions().tolerance
 
     def __str__(self):
         scheme, method = self.scheme, self.method
@@ -104,21 +105,29 @@ class Setting:
         )
         return (
             f"SDIRK({scheme.order}{stages}), {1e3 * DT / self.substeps:g} ms, {method.intervals} "
-            f"intervals of order {method.order}"
+            f"intervals of order {method.order}, Newton's method to {self.tolerance:g}"
         )
 
 
 # Of those that keep 1e-3 lengths on this robot the one with the fewest evaluations along the rod.
-COARSE = Setting(sr.SDIRK(3, stages=6), sr.Collocation(5))
+# Newton's method stops where what it leaves is a hundredth of the error in time.
+COARSE = Setting(sr.SDIRK(3, stages=6), sr.Collocation(5), tolerance=1e-5)
 DEFAULT = Setting(sr.SDIRK(3), sr.Collocation())
 REFINED = Setting(sr.SDIRK(4), sr.Collocation(12), 8)
-SETTINGS = {"1e-3 L": COARSE, "default": DEFAULT}
+TIGHT = dataclasses.replace(COARSE, tolerance=DEFAULT.tolerance)
+SETTINGS = {"1e-3 L": COARSE, "1e-3 L, solved tightly": TIGHT, "default": DEFAULT}
+# Gradients of so many rods at a time: what reverse mode keeps of a motion fills the memory.
+CHUNK = 16384
 
 
 def tensions(count: int, steps: int):
     """(count, steps, 3) [N]; the first rods are the same whatever the count."""
     most = np.random.default_rng(0).uniform(size=(count, 1, 3)) * MOST_TENSION
     return most * np.minimum(1.0, np.arange(steps) * DT / RISE)[:, None]
+
+
+# What is counted when a program runs, and the function that is called as often.
+COUNTED = {"evaluations": "residual", "factorisations": "factorise", "attempts": "search_directly"}
 
 
 # What is measured, of one rod: functions of (E, damping, drag) and tensions.
@@ -138,6 +147,7 @@ def motion(setting: Setting, values, tensions):
         scheme=setting.scheme,
         method=setting.method,
         substeps=setting.substeps,
+        newton=sr.NewtonOptions(tolerance=setting.tolerance),
         max_time_error=jnp.inf,
         throw=False,
     )
@@ -162,11 +172,8 @@ def forward(setting: Setting, values, tensions):
     return tips, *rest, slope
 
 
-KINDS = {
-    "motion": motion,
-    "reverse gradient": reverse,
-    "forward Jacobian": forward,
-}
+GRADIENTS = {"reverse gradient": reverse, "forward Jacobian": forward}
+KINDS = {"motion": motion, **GRADIENTS}
 
 
 @dataclasses.dataclass
@@ -269,9 +276,12 @@ class Run:
         if size == 1:
             one = lambda *a: jax.tree.map(lambda x: x[None], function(*[x[0] for x in a]))
             mapped = one
+        elif name in GRADIENTS and size > CHUNK:
+            mapped = lambda *a: jax.lax.map(lambda a: function(*a), a, batch_size=CHUNK)
 
         def measure(compiled, arguments, times):
             row = dict(name=name, setting=key[1], rods=size, **times)
+            row |= dict(at_a_time=min(size, CHUNK if name in GRADIENTS else size))
             memory, limit = needed_memory(compiled), device_memory("bytes_limit")
             row |= dict(memory=memory, bytes_a_rod=memory / size, **analysed(compiled))
             if limit and memory > limit:
@@ -363,7 +373,7 @@ class Run:
         made = pieces_of_newton(method)
         jobs = []
         for name, (function, arguments) in made.items():
-            cast = lambda x: x.astype(kind) if eqx.is_inexact_array(x) else x
+            cast = lambda x: x if x64 or not eqx.is_inexact_array(x) else x.astype(kind)
             arrays, static = eqx.partition(jax.tree.map(cast, arguments), eqx.is_array)
             one = lambda arrays, static=static, function=function: function(
                 *eqx.combine(arrays, static)
@@ -450,7 +460,7 @@ class Run:
 
     def counting(self) -> Job:
         """The motion of `COARSE` that counts the passes of its loops, all samples in lockstep."""
-        ticks: dict[str, int] = {}
+        ticks: dict[str, int] = dict.fromkeys(COUNTED, 0)
         function = functools.partial(motion, COARSE)
         arguments = (
             jnp.tile(VALUES, (self.middle, 1)),
@@ -459,7 +469,7 @@ class Run:
 
         def measure(compiled, arguments, times):
             del times
-            ticks.clear()
+            ticks.update(dict.fromkeys(COUNTED, 0))
             out = jax.block_until_ready(compiled(*arguments))
             jax.effects_barrier()
             self.counts = dict(ticks)
@@ -512,30 +522,37 @@ class Run:
         others = [n for n in self.sizes if n != middle]
         order = [others[-1:], others[:1], others[-2:-1], others[1:-2]]
         sizes = list(dict.fromkeys(n for part in order for n in part))
-        gradients = ("reverse gradient", "forward Jacobian")
         # Tracing it must not meet the other programs' traces: it comes first.
         counting = [self.counting(), *([] if self.on_gpu else [self.lockstep()])]
         if self.small:
             waves = [
-                [*counting, at("motion", "1e-3 L", middle), at(gradients[0], "1e-3 L", middle)]
+                [
+                    *counting,
+                    at("motion", "1e-3 L", middle),
+                    at("reverse gradient", "1e-3 L", middle),
+                ]
                 + [self.pieces(x64)[0] for x64 in (True, False)]
             ]
         else:
+            tight = "1e-3 L, solved tightly"
             waves = [
-                [*counting, at("motion", "1e-3 L", middle), self.of_equilibrium(middle)]
-                + self.pieces(True),
-                [at(name, "1e-3 L", middle) for name in gradients]
-                + [at("motion", "1e-3 L", n) for n in sizes[:3]]
-                + [at("motion", "default", middle)],
-                self.pieces(False)[:4]
+                [at("motion", "1e-3 L", n) for n in others[-1:]]
+                + [*counting, at("motion", "1e-3 L", middle)]
+                + [at(name, "1e-3 L", middle) for name in GRADIENTS]
+                + [at("motion", tight, n) for n in (middle, *others[-1:])],
+                [at(name, "1e-3 L", n) for n in others[-1:] for name in GRADIENTS]
+                + self.pieces(True)
+                + [at("motion", "default", middle), self.of_equilibrium(middle)],
+                [at("motion", "1e-3 L", n) for n in sizes[1:3]]
                 + [self.of_equilibrium(n) for n in sizes[:2]]
-                + [at(name, "1e-3 L", n) for n in sizes[:2] for name in gradients]
+                + [at(name, "1e-3 L", n) for n in sizes[1:2] for name in GRADIENTS]
                 + [at("motion", "default", n) for n in sizes[:2]],
                 [at("motion", "1e-3 L", n) for n in sizes[3:]]
-                + [at(name, "default", middle) for name in gradients],
-                [at(name, "1e-3 L", n) for n in sizes[2:] for name in gradients]
+                + [at(name, "default", middle) for name in GRADIENTS],
+                [at(name, "1e-3 L", n) for n in sizes[2:] for name in GRADIENTS]
                 + [self.of_equilibrium(n) for n in sizes[2:]]
-                + [at("motion", "default", n) for n in sizes[2:]],
+                + [at("motion", "default", n) for n in sizes[2:]]
+                + self.pieces(False)[:4],
             ]
         for wave in waves:
             if self.report.left < 20:
@@ -629,22 +646,6 @@ def measure_wave(jobs: list[Job], report: Report, workers: int) -> None:
 
 
 @contextlib.contextmanager
-def in_lockstep():
-    """Programs traced here take the samples of a batch in lockstep on a CPU, too."""
-    modules = boundary_value, equations
-    before = [module.on_cpu for module in modules]
-    jax.clear_caches()
-    try:
-        for module in modules:
-            module.on_cpu = lambda: False
-        yield
-    finally:
-        for module, old in zip(modules, before):
-            module.on_cpu = old
-        jax.clear_caches()
-
-
-@contextlib.contextmanager
 def counted(ticks: dict[str, int]):
     """Programs traced here add to `ticks` when they run: once a pass for a batch in lockstep."""
 
@@ -668,11 +669,7 @@ def counted(ticks: dict[str, int]):
 
         return call
 
-    places = [
-        (Equations, "residual", "evaluations"),
-        (Equations, "factorise", "factorisations"),
-        (inertial_continuation, "search_directly", "attempts"),
-    ]
+    places = list(zip((Equations, Equations, inertial_continuation), COUNTED.values(), COUNTED))
     before = [getattr(place, attribute) for place, attribute, _ in places]
     jax.clear_caches()
     try:
@@ -686,21 +683,15 @@ def counted(ticks: dict[str, int]):
 
 
 def passes_of(counts: dict[str, int], loop: launches.Loop) -> int | None:
-    """How often a loop of unknown length passes in the whole call, by its place in the search.
+    """How often a loop of unknown length passes in the whole call, by the function it is in.
 
-    Attempts at a step hold rounds of Newton's method with one Jacobian each, and a round holds the
-    loop that makes the factors, if need be, and the one of corrections.
+    Attempts with factors in float64 are rare in a batch. How they share the passes of Newton's
+    method is not known: they count as one each.
     """
     if loop.passes is not None:
         return None
-    unknown = [x for _, x in loop.walk() if x.passes is None and x is not loop]
-    if not unknown:
-        depth = max(d for d, _ in loop.walk())
-        # Elimination is a loop in a loop, or was moved out as it does not change; sweeps are loops.
-        return counts.get("evaluations" if depth == 1 else "factorisations")
-    if any(x.passes is None for y in unknown for x in y.inner):
-        return counts.get("attempts")
-    return max(counts.get("attempts", 0), counts.get("factorisations", 0))
+    names = {"newton_with": "evaluations", "_in_single": "factorisations"}
+    return counts.get(names.get(loop.name.split(".")[0], "attempts"))
 
 
 def pieces_of_newton(method) -> dict[str, tuple[Callable, tuple]]:
@@ -721,9 +712,16 @@ def pieces_of_newton(method) -> dict[str, tuple[Callable, tuple]]:
     slope = problem._tip(method.states(U.along, layout)).by_base_part
     defect, _ = method.condense(factors.inner, F.along)
     point = pointwise_problem(U.along[:, : layout.size], rod, history)
+    # As motions on a GPU have them.
+    single = functools.partial(Equations.factorise, single=True)
     return {
         "evaluation": (lambda at, U: at.residual(U), (problem, U)),
         "correction": (lambda at, f, F: at.correct(f, F), (problem, factors, F)),
+        "correction, factors in float32": (
+            lambda at, f, F: at.correct(f, F),
+            (problem, single(problem, U), F),
+        ),
+        "new factors in float32": (single, (problem, U)),
         "of it sweeps": (block_sweep.solve_sweeps, (factors.sweeps, defect, F.tip)),
         "new factors": (lambda at, U: at.factorise(U), (problem, U)),
         "of it Jacobians of intervals": (

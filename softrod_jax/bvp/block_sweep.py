@@ -24,6 +24,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
+from softrod_jax.foundation.compiling import on_cpu
+from softrod_jax.foundation.products import precision, product
+
 
 class Factors(NamedTuple):
     """What the sweeps need, for any right-hand side. `S` is the impedance seen at node k + 1."""
@@ -45,8 +48,8 @@ def factorise(
 
     def inwards(S, interval):
         right_a, right_b, left_b, known = interval
-        K = inverse(jnp.concatenate([right_a + right_b @ S, left_b], -1))
-        out = -K @ known
+        K = inverse(jnp.concatenate([right_a + product(right_b, S), left_b], -1))
+        out = product(-K, known)
         return out[a:, :a], (S, K, out)
 
     intervals = right[..., :a], right[..., a:], left[..., a:], known
@@ -77,7 +80,13 @@ def inverse(A: Float[Array, "n n"]):
         others = jnp.where(at_i | at_j, 0.0, A) - A[:, i, None] * row_i - A[:, j, None] * row_j
         return jnp.where(at_i[:, None], row_i, jnp.where(at_j[:, None], row_j, others))
 
-    return jax.lax.fori_loop(0, A.shape[-1] // 2, eliminate, A)[:n, :n]
+    if on_cpu():
+        return jax.lax.fori_loop(0, A.shape[-1] // 2, eliminate, A)[:n, :n]
+    # A kernel each, and not several that look up where in the loop they are. Barriers keep XLA from
+    # making several into one, which would compute what it reads again and again.
+    for k in range(A.shape[-1] // 2):
+        A = jax.lax.optimization_barrier(eliminate(k, A))
+    return A[:n, :n]
 
 
 def count_conjugate_points(factors: Factors) -> Int[Array, ""]:
@@ -116,7 +125,7 @@ def solve_sweeps(
     # One small product a node in turn; all else for all nodes at once.
     def sweep(x, k):
         matrix, rhs = k
-        return matrix @ x + rhs, x
+        return jnp.matmul(matrix, x, precision=precision()) + rhs, x
 
     g0, g = jax.lax.scan(sweep, tip_rhs, (factors.inwards, t[:, a:]), reverse=True)
     shifts = t[:, :a] + apply_each(factors.shift, g)
@@ -131,4 +140,4 @@ def apply_each(
     matrices: Float[Array, "m i j"], vectors: Float[Array, "m j"]
 ) -> Float[Array, "m i"]:
     """The product of each matrix and its vector."""
-    return jnp.einsum("kij,kj->ki", matrices, vectors)
+    return jnp.einsum("kij,kj->ki", matrices, vectors, precision=precision())

@@ -56,9 +56,17 @@ class Solved(NamedTuple):
 
 
 def search_directly(
-    equations: Equations, options: NewtonOptions, U: Unknowns, reused: ReusedFactors | None = None
+    equations: Equations,
+    options: NewtonOptions,
+    U: Unknowns,
+    reused: ReusedFactors | None = None,
+    *,
+    keep_factors: bool = True,
 ):
-    """Newton's method from `U`: the unknowns, how they were found, and the last factors."""
+    """Newton's method from `U`: the unknowns, how they were found, and the last factors.
+
+    `keep_factors`: without, `None` is returned in their place.
+    """
     layout = equations.layout
     end = newton(
         equations.residual,
@@ -69,6 +77,7 @@ def search_directly(
         options,
         exact_factors=not layout.dynamic,
         reused=reused,
+        keep_factors=keep_factors,
     )
     one, stable = jnp.ones((), jnp.int32), jnp.array(True)
     if not layout.dynamic:

@@ -14,6 +14,7 @@ import dataclasses
 from typing import NamedTuple
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
@@ -21,6 +22,7 @@ from jaxtyping import Array, Float
 from softrod_jax.bvp.block_sweep import apply_each
 from softrod_jax.bvp.grid_error import CAUTION, hidden_turns, roughness, tip_of, wide_defect
 from softrod_jax.bvp.method import AbstractMethod, Guess, Linear
+from softrod_jax.foundation.products import product
 from softrod_jax.rod.boundary_conditions import gap_conditions
 from softrod_jax.rod.constants import Rod, full_strain
 from softrod_jax.rod.constitutive import imbalance, nearby_strain, recover_strain
@@ -40,6 +42,10 @@ class _Formula:
     def __init__(self, c, v, x, b):
         self.c, self.v = np.array(c), np.array(v)
         self.x, self.b = [np.array(row) for row in x], np.array(b)
+
+    def weights(self, kind):
+        """v, x and b as precise as what they are to weigh."""
+        return self.v.astype(kind), [row.astype(kind) for row in self.x], self.b.astype(kind)
 
 
 _FORMULAS = {
@@ -208,37 +214,44 @@ class Collocation(AbstractMethod):
             defect = defect.at[rod.grid.gaps, -layout.pair :].add(applied)
         return _Residual(defect, inner, forces)
 
-    def linearise(self, U, rod: Rod, layout: Layout, history, guess) -> Linear:
+    def linearise(
+        self, U, rod: Rod, layout: Layout, history, guess, single: bool = False
+    ) -> Linear:
         """The derivative of `residual`, strains and inner states eliminated."""
-        formula = self._formula
         y, strain, _ = self._split(U, rod, layout, history)
+        kind = jnp.float32 if single else y.dtype
+        every_v, every_x, b = self._formula.weights(kind)
         at = rod_ode_jacobian(y, strain, rod, layout, history)
-        A = self._times(rod.grid, at.state)
+        A = [A_r.astype(kind) for A_r in self._times(rod.grid, at.state)]
         # Beside each other what multiplies Y_k and Y_{k+1}: of stages in `moves`, and of
         # G_r = h df_r/d(Y_k, Y_{k+1}), by the chain rule through the stages.
-        eye, none = jnp.eye(layout.size), jnp.zeros_like(A[0])
+        eye, none = jnp.eye(layout.size, dtype=kind), jnp.zeros_like(A[0])
         beside = lambda a, b: jnp.concatenate([a * eye, b * eye], -1)
         G = [jnp.concatenate([A[0], none], -1), jnp.concatenate([none, A[1]], -1)]
         moves = []
-        for A_r, x, v in zip(A[2:], formula.x, formula.v):
+        for A_r, x, v in zip(A[2:], every_x, every_v):
             moves.append(beside(1 - v, v) + sum(a * G_j for a, G_j in zip(x, G)))
-            G.append(A_r @ moves[-1])
-        ends = beside(-1, 1) - sum(b * G_r for b, G_r in zip(formula.b, G))
+            G.append(product(A_r, moves[-1]))
+        ends = beside(-1, 1) - sum(b_r * G_r for b_r, G_r in zip(b, G))
         strains = None
         if not rod.explicit_strains:
             whole = rod.grid.division is None
             by_wrench = rod.grid.h * at.wrench if whole else self._times(rod.grid, at.wrench)
-            strains = at.compliance, by_wrench, self._force_by_state(at.pull, layout)
+            force_by_state = self._force_by_state(at.pull, layout)
+            strains = jax.tree.map(
+                lambda x: x.astype(kind), (at.compliance, by_wrench, force_by_state)
+            )
         left, right = jnp.split(ends, 2, axis=-1)
         if rod.at_gaps is not None:
             slope = self._at_gaps(y, rod, layout, history).by_base_part
             here = rod.grid.gaps, slice(-layout.pair, None), slice(layout.base_size)
-            left = left.at[here].add(slope)
+            left = left.at[here].add(slope.astype(kind))
         return Linear(left, right, (A[2:], moves, strains))
 
     def condense(self, inner, residual: "_Residual"):
         """The defects between nodes once inner states and strains have been corrected."""
-        formula, (A, _, strains) = self._formula, inner
+        A, _, strains = inner
+        _, every_x, b = self._formula.weights(A[0].dtype)
         df: list = [0.0] * (2 + len(A))  # times h
         if strains is not None and residual.forces is not None:
             _, by_wrench, _ = strains
@@ -248,10 +261,10 @@ class Collocation(AbstractMethod):
             else:
                 df = self._by_stage(-apply_each(by_wrench, residual.forces))
         dy = []
-        for r, (A_r, x) in enumerate(zip(A, formula.x)):
+        for r, (A_r, x) in enumerate(zip(A, every_x)):
             dy.append(sum(a * df_j for a, df_j in zip(x, df)) - residual.inner[r])
             df[2 + r] = df[2 + r] + apply_each(A_r, dy[-1])
-        defect = residual.defect - sum(b * df_r for b, df_r in zip(formula.b, df))
+        defect = residual.defect - sum(b_r * df_r for b_r, df_r in zip(b, df))
         return defect, (dy, residual.forces)
 
     def expand(self, inner, condensed, dY: Float[Array, "nodes n"]):

@@ -149,11 +149,13 @@ class Equations(NamedTuple):
         strain, weights = self.fields(U).strain, self.rod.grid.weights
         return constraint.gaps(self.rod, strain, U.multipliers, weights)
 
-    def factorise(self, U: Unknowns, safe=None) -> Factors:
-        """What `correct` needs."""
-        linear = self.method.linearise(U.along, *self._problem(U))
+    def factorise(self, U: Unknowns, safe=None, single: bool = False) -> Factors:
+        """What `correct` needs; `single`: in float32."""
+        linear = self.method.linearise(U.along, *self._problem(U), single)
         Y = self.method.states(U.along, self.layout)
         slope = self._tip(Y).by_base_part
+        if single:
+            slope = slope.astype(jnp.float32)
         left, right = linear.left, linear.right
         if safe is not None:
             # A failed sample has no derivative: a solvable system with nothing in it.
@@ -195,9 +197,12 @@ class Equations(NamedTuple):
 
     def _correct_along(self, factors: Factors, F: Residual):
         """The correction along the rod where the multipliers stay."""
-        defect, condensed = self.method.condense(factors.inner, F.along)
-        sweeps = solve_sweeps(factors.sweeps, defect, F.tip)
-        return self.method.expand(factors.inner, condensed, sweeps)
+        kind = factors.sweeps.K.dtype
+        rhs = jax.tree.map(lambda x: x.astype(kind), F.along)
+        defect, condensed = self.method.condense(factors.inner, rhs)
+        sweeps = solve_sweeps(factors.sweeps, defect, F.tip.astype(kind))
+        along = self.method.expand(factors.inner, condensed, sweeps)
+        return along.astype(F.tip.dtype)
 
     def correct(self, factors: Factors, F: Residual) -> Unknowns:
         """The correction -J^-1 F of the unknowns; NaN where no multipliers can be."""

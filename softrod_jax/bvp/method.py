@@ -108,8 +108,10 @@ class AbstractMethod(eqx.Module):
         """What is zero at the solution: a pytree. Not finite where it does not exist."""
 
     @abc.abstractmethod
-    def linearise(self, U, rod: Rod, layout: Layout, history, guess) -> Linear:
-        """The derivative of `residual`, the inner unknowns eliminated."""
+    def linearise(
+        self, U, rod: Rod, layout: Layout, history, guess, single: bool = False
+    ) -> Linear:
+        """The derivative of `residual`, the inner unknowns eliminated; `single`: in float32."""
 
     @abc.abstractmethod
     def condense(self, inner, residual) -> tuple[Float[Array, "intervals n"], Any]:

@@ -33,6 +33,9 @@ class NewtonOptions(eqx.Module):
 
 # Keep the factors while each correction is at most this fraction of the one before.
 _REUSE = 0.25
+# With factors that are given, go on while each correction is at most this fraction of the one
+# before; what no longer falls is rounding error where it is as small as that.
+_SLOWEST, _STALLED = 0.7, 1e-8
 # A correction this small that no longer falls is rounding error.
 _ROUNDING = 1e-6
 
@@ -82,6 +85,7 @@ def newton(
     options: NewtonOptions,
     exact_factors: bool = False,
     reused: ReusedFactors | None = None,
+    keep_factors: bool = True,
 ) -> NewtonResult:
     """Solve `evaluate(y) = F = 0` from `y`.
 
@@ -92,12 +96,9 @@ def newton(
     - `scale`: like y, or broadcast to it; corrections are measured by max |dy / scale|.
     - `exact_factors`: return the factors at the solution itself.
     - `reused`: factors to begin with; new ones are made as soon as these do not serve.
+    - `keep_factors`: without, none are returned, and the loops carry none: in a batch in lockstep
+      whatever a loop carries is copied in each pass.
     """
-
-    def size_of(step):
-        sizes = jax.tree.map(lambda dy, s: jnp.max(jnp.abs(dy) / s), step, scale)
-        size = functools.reduce(jnp.maximum, jax.tree.leaves(sizes))
-        return jnp.where(jnp.isfinite(size), size, jnp.inf)
 
     def moved(y, step, damping):
         return jax.tree.map(lambda a, b: a + damping * b, y, step)
@@ -126,12 +127,12 @@ def newton(
         state = jax.lax.while_loop(
             lambda s: goes_on(s) & ~s.stale, lambda s: one_pass(s, factors), state
         )
-        return state._replace(reused=jnp.array(False)), factors, last
+        return state._replace(reused=jnp.array(False)), factors if keep_factors else None, last
 
     def one_pass(state, factors):
         y = moved(state.y, state.step, state.damping)
         step = solve(factors, evaluate(y))
-        size = size_of(step)
+        size = size_of(step, scale)
         full = state.fresh | (state.damping == 1.0)
         falls = size <= (1 - state.damping / 4) * state.size
         ratio = size / state.size
@@ -179,7 +180,10 @@ def newton(
         stale=jnp.array(False),
         reused=jnp.array(False) if reused is None else reused.usable,
     )
-    factors = no_factors(factorise, y) if reused is None else reused.factors
+    if not keep_factors:
+        factors = None
+    else:
+        factors = no_factors(factorise, y) if reused is None else reused.factors
 
     def unfinished(carry):
         state, _, last = carry
@@ -189,6 +193,62 @@ def newton(
         unfinished, with_factors, (start, factors, jnp.array(False))
     )
     return NewtonResult(end.y, factors, end.result, end.iterations, end.size, end.contraction)
+
+
+class _Chord(NamedTuple):
+    y: Any
+    size: Float[Array, ""]
+    contraction: Float[Array, ""]
+    iterations: Int[Array, ""]
+    running: Bool[Array, ""]
+    converged: Bool[Array, ""]
+
+
+def newton_with(
+    factors, evaluate: Callable, solve: Callable, y, scale, options: NewtonOptions
+) -> NewtonResult:
+    """Newton's method with these factors only, for as long as corrections fall.
+
+    They are of a Jacobian like this problem's: where two corrections are small, so is the error.
+    The code is `RESULTS.diverged` if they no longer do: that is no fault of the problem, and `y` is
+    then of no use. In a batch in lockstep a pass reads the factors, and copies nothing but `y`.
+    """
+
+    def one_pass(state):
+        step = solve(factors, evaluate(state.y))
+        size = size_of(step, scale)
+        first, ratio = state.iterations == 0, size / state.size
+        falls = ~first & (ratio <= _SLOWEST)
+        left = jnp.where(falls & (ratio < 0.5), size * ratio / (1 - ratio), size)
+        # One small correction alone does not show that the factors serve.
+        small = (left <= options.tolerance) & (falls | (~first & (size <= state.size)))
+        at_rounding = ~first & (state.size <= _STALLED) & (size <= 10 * _STALLED) & ~falls
+        converged = small | at_rounding
+        goes_on = ~converged & jnp.isfinite(size) & (first | falls)
+        judged = ~first & (size > _ROUNDING)
+        return _Chord(
+            y=jax.tree.map(lambda a, b: a + jnp.where(goes_on | small, b, 0.0), state.y, step),
+            size=size,
+            contraction=jnp.where(judged, jnp.maximum(state.contraction, ratio), state.contraction),
+            iterations=state.iterations + 1,
+            running=goes_on & (state.iterations + 1 < options.max_iterations),
+            converged=converged,
+        )
+
+    none = jnp.zeros(())
+    start = _Chord(
+        y, jnp.array(jnp.inf), none, jnp.zeros((), jnp.int32), jnp.array(True), jnp.array(False)
+    )
+    end = jax.lax.while_loop(lambda state: state.running, one_pass, start)
+    result = jnp.where(end.converged, RESULTS.successful, RESULTS.diverged).astype(jnp.int32)
+    return NewtonResult(end.y, None, result, end.iterations, end.size, end.contraction)
+
+
+def size_of(step, scale) -> Float[Array, ""]:
+    """Of a correction, in scales: infinite if it has no numbers."""
+    sizes = jax.tree.map(lambda dy, s: jnp.max(jnp.abs(dy) / s), step, scale)
+    size = functools.reduce(jnp.maximum, jax.tree.leaves(sizes))
+    return jnp.where(jnp.isfinite(size), size, jnp.inf)
 
 
 def no_factors(factorise: Callable, y):

@@ -162,7 +162,9 @@ class Shooting(AbstractMethod):
         """How far each segment ends from the next node."""
         return U[1:] - self._propagate(U[:-1], rod, layout, history, guess)[0][-1]
 
-    def linearise(self, U, rod: Rod, layout: Layout, history, guess) -> Linear:
+    def linearise(
+        self, U, rod: Rod, layout: Layout, history, guess, single: bool = False
+    ) -> Linear:
         """The derivative of `residual`, by forward tangents through the integration."""
         Y, eye = U[:-1], jnp.eye(layout.size)
 
@@ -171,6 +173,8 @@ class Shooting(AbstractMethod):
             return jax.jvp(last, (Y,), (jnp.broadcast_to(e, Y.shape),))[1]
 
         left = -jax.vmap(column, out_axes=-1)(eye)
+        if single:
+            left, eye = left.astype(jnp.float32), eye.astype(jnp.float32)
         return Linear(left, jnp.broadcast_to(eye, left.shape), None)
 
     def condense(self, inner, residual):

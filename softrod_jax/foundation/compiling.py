@@ -1,5 +1,7 @@
 """Compiling faster: a rod's program is large, and often runs a few times only."""
 
+import contextlib
+import contextvars
 import functools
 from collections.abc import Callable
 
@@ -11,6 +13,7 @@ from softrod_jax.foundation.tracing import is_traced
 # XLA's newer code generator for CPUs (jax 0.10) takes twice as long to compile a rod's program,
 # which then runs no faster. The option is XLA's own and may go away.
 _OPTIONS = {"xla_cpu_use_fusion_emitters": False}
+_LOCKSTEP = contextvars.ContextVar("lockstep", default=False)
 
 
 def compiled(function: Callable, jit: Callable = eqx.filter_jit) -> Callable:
@@ -45,4 +48,16 @@ def compiler_options() -> dict | None:
 
 def on_cpu() -> bool:
     """Whether programs run on a CPU, where one sample after the other is often the faster way."""
-    return jax.default_backend() == "cpu"
+    return jax.default_backend() == "cpu" and not _LOCKSTEP.get()
+
+
+@contextlib.contextmanager
+def in_lockstep():
+    """Programs traced here are those for a GPU, wherever they run: to test and to count them."""
+    before = _LOCKSTEP.set(True)
+    jax.clear_caches()
+    try:
+        yield
+    finally:
+        _LOCKSTEP.reset(before)
+        jax.clear_caches()

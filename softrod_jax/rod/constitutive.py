@@ -23,6 +23,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
+from softrod_jax.foundation.products import product
 from softrod_jax.rod.constants import Rod, Scalar, joined
 from softrod_jax.rod.energies import AbstractTerm, Density, TendonPull
 from softrod_jax.rod.fibres import FibreEnergy, Fibres
@@ -212,10 +213,10 @@ def _inverse(H):
     A, B, D = H[..., :3, :3], H[..., :3, 3:], H[..., 3:, 3:]
     transposed = lambda X: jnp.swapaxes(X, -1, -2)
     A_inv = _inverse_3(A)
-    AB = A_inv @ B
-    lower = _inverse_3(D - transposed(B) @ AB)
-    right = -AB @ lower
-    upper = A_inv - right @ transposed(AB)
+    AB = product(A_inv, B)
+    lower = _inverse_3(D - product(transposed(B), AB))
+    right = product(-AB, lower)
+    upper = A_inv - product(right, transposed(AB))
     top = jnp.concatenate([upper, right], -1)
     return jnp.concatenate([top, jnp.concatenate([transposed(right), lower], -1)], -2)
 

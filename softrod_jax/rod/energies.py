@@ -16,6 +16,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from softrod_jax.foundation.products import product_in_components
 from softrod_jax.rod.rotations import cross, hats
 from softrod_jax.scene.acting import AbstractEnergy
 from softrod_jax.scene.planes import in_space
@@ -132,8 +133,8 @@ class TendonPull(AbstractTerm):
             M = M + drag * (rate * eye + outer(l_t) / rate)
         turn = -hats(self.r)[1]
         turn = jnp.broadcast_to(turn, (*M.shape[:-1], turn.shape[-1]))
-        M_turn = _product(M, turn)
-        by_turn = _product(jnp.swapaxes(turn, -1, -2), M_turn)
+        M_turn = product_in_components(M, turn)
+        by_turn = product_in_components(jnp.swapaxes(turn, -1, -2), M_turn)
         if self.v is not None:
             return jnp.sum(by_turn, -3)
         upper = jnp.concatenate([M, M_turn], -1)
@@ -194,8 +195,3 @@ def stiffness_at_rest(energy: AbstractEnergy, v: Float[Array, "3"], u: Float[Arr
     H = jax.hessian(lambda x: energy.density(x[:3], x[3:], jnp.zeros(())))(x)
     K = jnp.diagonal(H)
     return K[:3], K[3:]
-
-
-def _product(A, B):
-    """A @ B of (*batch, 3, 3), in components."""
-    return sum(A[..., :, j, None] * B[..., j, None, :] for j in range(A.shape[-1]))

@@ -35,6 +35,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
+from softrod_jax.foundation.products import product
 from softrod_jax.rod.constants import Rod
 from softrod_jax.rod.constitutive import compliance, imbalance, local_problem, recover_strain
 from softrod_jax.rod.friction import Slid, by_each_point
@@ -205,7 +206,7 @@ def rod_ode_jacobian(
     f_y, f_strain = _partial_derivatives(y, strain, rod, layout, history)
     problem = pointwise_problem(y, rod, layout, history)
     C = compliance(problem, strain)
-    by_wrench = f_strain / problem.k[..., None, :] if problem.explicit else f_strain @ C
+    by_wrench = f_strain / problem.k[..., None, :] if problem.explicit else product(f_strain, C)
     n, pull = rod.strain_size, None
     state = jnp.concatenate([f_y[..., :-n], f_y[..., -n:] + by_wrench], -1)
     if layout.rubbing:

@@ -10,11 +10,11 @@ from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
 from softrod_jax.bvp.boundary_value import Found, chosen, search_directly
 from softrod_jax.bvp.equations import Equations, Unknowns, loads_of, with_loads
-from softrod_jax.bvp.newton import NewtonOptions, ReusedFactors
+from softrod_jax.bvp.newton import NewtonOptions, ReusedFactors, newton_with
 from softrod_jax.foundation.results import RESULTS
 from softrod_jax.rod.ode import History
 from softrod_jax.rod.relaxation import Crept
@@ -29,15 +29,27 @@ _SMALLEST, _MAX_TRIES = 1e-4, 30
 _AHEAD = 0.1
 
 
+class SharedFactors(NamedTuple):
+    """In float32, for all stages of a step; `new`: whether this is the first, which makes them.
+
+    `usable`: whether they are of such a Jacobian as is wanted.
+    """
+
+    factors: Any
+    new: Bool[Array, ""]
+    usable: Bool[Array, ""]
+
+
 class Before(NamedTuple):
-    """The loads that a step comes from, the strains' rates there, the last factors.
+    """The loads that a step comes from, the strains' rates there, and the last factors if kept.
 
     `crept`: what dashpots had crept, (points, branches, strain), or `None`.
     """
 
     loads: list
     rate: Float[Array, "points strain"]
-    reused: ReusedFactors
+    reused: ReusedFactors | None
+    shared: SharedFactors | None = None
     crept: Crept | None = None
 
 
@@ -59,7 +71,7 @@ def search_by_inertia(equations: Equations, options: NewtonOptions, U, before: B
     `Found.load_steps` counts the parts; ordinary steps take one.
     """
 
-    loads = loads_of(equations.rod)
+    loads, keep_factors = loads_of(equations.rod), before.reused is not None
 
     def at_once(state):
         """The whole step: its history and loads, and the guess."""
@@ -95,8 +107,12 @@ def search_by_inertia(equations: Equations, options: NewtonOptions, U, before: B
         # Nothing is computed for what an ordinary step does not need.
         history, now, start = jax.lax.cond(state.tries == 0, at_once, on_the_way, state)
         problem = equations._replace(history=history, rod=with_loads(equations.rod, now))
-        reused = ReusedFactors(state.factors, before.reused.usable & (state.tries == 0))
-        new, found, factors = search_directly(problem, options, start, reused)
+        reused = None
+        if before.reused is not None:
+            reused = ReusedFactors(state.factors, before.reused.usable & (state.tries == 0))
+        new, found, factors = search_directly(
+            problem, options, start, reused, keep_factors=keep_factors
+        )
         ok = found.result == RESULTS.successful
         # After the whole way the whole step under the loads of before, then ever less.
         first = (state.advance > 1.0) & (state.done == 0.0)
@@ -120,8 +136,47 @@ def search_by_inertia(equations: Equations, options: NewtonOptions, U, before: B
 
     zero, none = jnp.zeros((), jnp.int32), jnp.zeros(())
     found = Found(zero, zero, none, none, zero, jnp.array(True))
-    start = _Way(none, jnp.array(_GOAL), U, found, before.reused.factors, zero, jnp.array(True))
+    factors = None if before.reused is None else before.reused.factors
+    start = _Way(none, jnp.array(_GOAL), U, found, factors, zero, jnp.array(True))
+    shared = None
+    if before.shared is not None:
+        start, shared = _in_single(equations, options, start, before.shared)
     end = jax.lax.while_loop(lambda state: state.running, attempt, start)
     whole = (end.found.result != RESULTS.successful) | (end.done >= _GOAL)
     result = jnp.where(whole, end.found.result, RESULTS.diverged).astype(jnp.int32)
-    return end.U, end.found._replace(result=result), end.factors
+    factors = end.factors if shared is None else shared
+    return end.U, end.found._replace(result=result), factors
+
+
+def _in_single(equations: Equations, options: NewtonOptions, start: _Way, shared: SharedFactors):
+    """The whole step at once with factors in float32: half the bytes, and bytes are the time.
+
+    The equations are in float64, and so is the answer. In a batch in lockstep nothing else is run
+    where this finds every sample; who is not found starts from the beginning.
+    """
+    U = start.U
+    # As a branch; a loop leaves the factors in their place where there is nothing to do.
+    _, factors = jax.lax.while_loop(
+        lambda carry: carry[0],
+        lambda carry: (jnp.array(False), equations.factorise(U, single=True)),
+        (shared.new, shared.factors),
+    )
+    end = newton_with(
+        factors, equations.residual, equations.correct, U, equations.scale(U), options
+    )
+    ok = (end.result == RESULTS.successful) & shared.usable
+    found = Found(
+        end.result,
+        end.iterations,
+        end.correction,
+        end.contraction,
+        ok.astype(jnp.int32),
+        jnp.array(True),
+    )
+    way = start._replace(
+        done=jnp.where(ok, _GOAL, start.done),
+        U=chosen(ok, end.y, U),
+        found=found,
+        running=~ok,
+    )
+    return way, factors

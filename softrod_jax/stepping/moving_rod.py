@@ -5,6 +5,7 @@ into one solve or several, each with a history of its own (paper eq. 14); a solv
 one before it, with its factors where these still serve.
 """
 
+import functools
 from typing import Any, NamedTuple
 
 import jax
@@ -16,6 +17,7 @@ from softrod_jax.bvp.equations import Equations, loads_of, scaled_loads
 from softrod_jax.bvp.method import AbstractMethod, Guess
 from softrod_jax.bvp.newton import NewtonOptions, ReusedFactors, no_factors
 from softrod_jax.bvp.unloaded import unloaded_guess
+from softrod_jax.foundation.compiling import on_cpu
 from softrod_jax.foundation.results import RESULTS
 from softrod_jax.rod.constants import Rod, fastest_wave, inner_strain
 from softrod_jax.rod.friction import Slid
@@ -25,7 +27,7 @@ from softrod_jax.rod.reduction import make_rod
 from softrod_jax.rod.relaxation import Crept
 from softrod_jax.scene.inputs import Inputs, good_inputs, zero_unless
 from softrod_jax.scene.scene import Scene
-from softrod_jax.stepping.inertial_continuation import Before, search_by_inertia
+from softrod_jax.stepping.inertial_continuation import Before, SharedFactors, search_by_inertia
 from softrod_jax.stepping.scheme import AbstractTimeScheme, LocalErrors
 from softrod_jax.stepping.step_inputs import StepInputs
 from softrod_jax.stepping.time_error import accumulated
@@ -70,6 +72,7 @@ class Progress(NamedTuple):
     - `loads` and `history`: those of the last solve; `rate`: that of the strains there; `crept`:
       what dashpots have crept there, or `None`; `factors`
       of the last Jacobian, made with `c0`, which is 0 where they serve no longer.
+    - `stage`: of the step, on a GPU: all stages have the `factors` of the first. Else `None`.
     - `result`: the code so far. `iterations` and `correction`: in this step.
     - `error`: estimated, along the rod; `time_error`: estimated, of the tip so far, in lengths.
     - `part`: the length of the next substep, in steps, where errors choose it.
@@ -83,6 +86,7 @@ class Progress(NamedTuple):
     history: History
     factors: Any
     c0: Float[Array, ""]
+    stage: Int[Array, ""] | None
     result: Int[Array, ""]
     iterations: Int[Array, ""]
     correction: Float[Array, ""]
@@ -151,7 +155,9 @@ class MovingRod(NamedTuple):
         none_crept = None if crept is None else jnp.zeros_like(crept)
         history = History(jnp.ones(()), steady, still, none_crept)
         equations = Equations(self.method, self.layout, self.rod, history, guess.strain)
-        none = jnp.zeros(())
+        none, factorise = jnp.zeros(()), equations.factorise
+        if not on_cpu():
+            factorise = functools.partial(factorise, single=True)
         progress = Progress(
             guess=guess,
             multipliers=multipliers,
@@ -159,8 +165,9 @@ class MovingRod(NamedTuple):
             loads=loads_of(scaled_loads(self.rod, 0.0)),
             rate=steady,
             history=history,
-            factors=no_factors(equations.factorise, equations.start(guess)),
+            factors=no_factors(factorise, equations.start(guess)),
             c0=none,
+            stage=None if on_cpu() else jnp.zeros((), jnp.int32),
             result=jnp.where(good, result, RESULTS.bad_input).astype(jnp.int32),
             iterations=jnp.zeros((), jnp.int32),
             correction=none,
@@ -191,8 +198,13 @@ class MovingRod(NamedTuple):
         rod = scaled_loads(rod, jnp.where(alive, 1.0, 0.0))
         usable = alive & (progress.c0 == c0)
         slowed = slow_unless(alive, History(c0, *history))
-        reused = ReusedFactors(progress.factors, usable)
-        before = Before(progress.loads, progress.rate, reused, progress.crept)
+        if progress.stage is None:
+            reused = ReusedFactors(progress.factors, usable)
+            before = Before(progress.loads, progress.rate, reused, crept=progress.crept)
+        else:
+            new = progress.stage == 0
+            shared = SharedFactors(progress.factors, new, new | (progress.c0 == c0))
+            before = Before(progress.loads, progress.rate, None, shared, progress.crept)
         solved = solve_boundary_value(
             self.method,
             self.layout,
@@ -203,7 +215,7 @@ class MovingRod(NamedTuple):
             search_by_inertia,
             jax.lax.stop_gradient(before),
             # A stage of several is so close to the next that few need new factors.
-            reuse_exact=self.scheme.stages == 1,
+            reuse_exact=self.scheme.stages == 1 and progress.stage is None,
         )
         found, fields = solved.found, solved.fields
         result = jnp.where(good, found.result, RESULTS.bad_input).astype(jnp.int32)
@@ -221,12 +233,13 @@ class MovingRod(NamedTuple):
             loads=jax.lax.stop_gradient(loads_of(rod)),
             rate=jax.lax.stop_gradient(c0 * fields.strain + slowed.strain),
             factors=solved.factors,
-            c0=jnp.where(found.contraction < _REUSE, c0, 0.0),
+            c0=c0 if progress.stage is not None else jnp.where(found.contraction < _REUSE, c0, 0.0),
             result=jnp.where(progress.result == RESULTS.successful, result, progress.result),
             iterations=progress.iterations + found.iterations,
             correction=jnp.maximum(progress.correction, found.correction),
             history=jax.lax.stop_gradient(slowed),
             crept=jax.lax.stop_gradient(crept),
+            stage=None if progress.stage is None else progress.stage + 1,
         )
         return Fields(fields.strain, jnp.concatenate([q, w], -1), crept), progress
 
@@ -235,6 +248,8 @@ class MovingRod(NamedTuple):
     ) -> tuple[State, LocalErrors]:
         """The part [first, first + part] of a step, and its local errors."""
         memory, progress = state
+        if progress.stage is not None:
+            progress = progress._replace(stage=jnp.zeros_like(progress.stage))
         rise = jnp.minimum(_RISE * self.crossing, 1.0)
 
         def solve(c0, history, at, progress):

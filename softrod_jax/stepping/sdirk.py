@@ -8,6 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from softrod_jax.foundation.products import weighted_sum
 from softrod_jax.stepping.scheme import AbstractTimeScheme, LocalErrors, combine
 
 
@@ -129,7 +130,7 @@ class SDIRK(AbstractTimeScheme):
         (y0, before, dt_before, first_rate), (dt, smooth) = memory, coefficients
         table, at = self._table(diagonal=False), self._table(diagonal=True).sum(1)
         c0 = 1 / (_SDIRK[self.order, self.stages][0][0] * dt)
-        weighted = lambda w, tree: jax.tree.map(lambda k: jnp.tensordot(w, k, 1), tree)
+        weighted = lambda w, tree: jax.tree.map(lambda k: weighted_sum(w, k), tree)
         keep = lambda tree, i, new: jax.tree.map(lambda k, x: k.at[i].set(x), tree, new)
 
         # A scan and not a Python loop: the solve along the rod is compiled once.
@@ -159,7 +160,7 @@ class SDIRK(AbstractTimeScheme):
         return (y, before, dt, jax.tree.map(lambda k: k[-1], rates)), carry, errors
 
     def _local_errors(self, dt, first_rate, rates) -> LocalErrors:
-        times = lambda w: jax.tree.map(lambda k: dt * jnp.tensordot(w, k, 1), rates)
+        times = lambda w: jax.tree.map(lambda k: dt * weighted_sum(w, k), rates)
         lower, (w_0, *w) = self._error_weights(), _DIFFERENCE[self.order, self.stages]
         return LocalErrors(
             times(lower),

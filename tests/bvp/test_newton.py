@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import softrod_jax as sr
-from softrod_jax.bvp.newton import NewtonOptions, ReusedFactors, newton
+from softrod_jax.bvp.newton import NewtonOptions, ReusedFactors, newton, newton_with
 
 
 def equations(x):
@@ -74,3 +74,40 @@ def test_a_batch_is_a_loop():
 def test_no_solution_is_no_answer():
     end = solve([0.5], evaluate=lambda x: x**2 + 1)
     assert int(end.result) in (sr.RESULTS.diverged, sr.RESULTS.max_iterations)
+
+
+def solve_with(factors, y, **options):
+    correct = lambda J, F: -jnp.linalg.solve(J, F)
+    return newton_with(factors, equations, correct, jnp.array(y), 1.0, NewtonOptions(**options))
+
+
+@pytest.mark.parametrize("at", [[1.0, 2.0], [1.05, 1.9]])
+@pytest.mark.parametrize("kind", ["float64", "float32"])
+def test_given_factors_that_serve_find_the_solution(at, kind):
+    """Those in float32 find it as exactly: the equations are in float64."""
+    factors = factors_at(at).factors.astype(kind).astype(float)
+    end = solve_with(factors, [1.1, 1.9])
+    assert int(end.result) == sr.RESULTS.successful
+    np.testing.assert_allclose(end.y, [1.0, 2.0], atol=1e-9)
+    assert 0 < float(end.contraction) < 0.5 and float(end.correction) < 1e-8
+    assert int(solve_with(factors, [1.1, 1.9], tolerance=1e-4).iterations) < int(end.iterations)
+
+
+@pytest.mark.parametrize(
+    "factors",
+    [
+        -factors_at([1.0, 2.0]).factors,  # lead away
+        jnp.zeros((2, 2)),  # give no numbers
+        1e4 * jnp.eye(2),  # make corrections small wherever they are
+    ],
+    ids=["wrong", "singular", "huge"],
+)
+def test_given_factors_that_do_not_serve_find_nothing(factors):
+    end = solve_with(factors, [1.3, 1.6])
+    assert int(end.result) == sr.RESULTS.diverged
+    assert np.all(np.isfinite(end.y))
+
+
+def test_a_start_that_is_the_solution_takes_two_evaluations_with_given_factors():
+    end = solve_with(factors_at([1.05, 1.9]).factors, [1.0, 2.0])
+    assert (int(end.result), int(end.iterations)) == (sr.RESULTS.successful, 2)
