@@ -43,7 +43,7 @@ def install_if_needed() -> None:
     """JAX's plug-in for CUDA, where there is a GPU, and start again with it."""
     has = lambda name: importlib.util.find_spec(name) is not None
     plugin = any(has(f"jax_cuda{k}_plugin") for k in (12, 13))
-    needed = Path("/dev/nvidiactl").exists() and not plugin or not has("diffrax")
+    needed = Path("/dev/nvidiactl").exists() and not (plugin and has("diffrax"))
     if not needed or os.environ.get(_INSTALLED):
         return
     command = [sys.executable, "-m", "pip", "install", "-q", "jax[cuda12]", str(ROOT)]

@@ -5,18 +5,20 @@ the time. Written out in components it is one kernel with what stands around it.
 """
 
 import jax.numpy as jnp
+from jaxtyping import Array, Float
 
 from softrod_jax.foundation.compiling import on_cpu
 
 
-def product(A, B):
+def product(A, B) -> Float[Array, "*batch n k"]:
     """A @ B of (*batch, n, m) and (*batch, m, k)."""
     return A @ B if on_cpu() else product_in_components(A, B)
 
 
-def product_in_components(A, B):
+def product_in_components(A, B) -> Float[Array, "*batch n k"]:
     """The same, as a sum of outer products."""
-    return sum(A[..., :, j, None] * B[..., j, None, :] for j in range(A.shape[-1]))
+    terms = [A[..., :, j, None] * B[..., j, None, :] for j in range(A.shape[-1])]
+    return sum(terms)  # pyright: ignore[reportReturnType]  # there is a term
 
 
 def precision() -> str | None:
@@ -24,8 +26,9 @@ def precision() -> str | None:
     return None if on_cpu() else "highest"
 
 
-def weighted_sum(weights, values):
+def weighted_sum(weights, values) -> Float[Array, "*rest"]:
     """sum_i weights_i values_i."""
     if on_cpu():
         return jnp.tensordot(weights, values, 1)
-    return sum(weights[i] * values[i] for i in range(len(weights)))
+    terms = [weights[i] * values[i] for i in range(len(weights))]
+    return sum(terms)  # pyright: ignore[reportReturnType]  # there is a term
