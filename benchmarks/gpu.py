@@ -711,7 +711,7 @@ def pieces_of_newton(method) -> dict[str, tuple[Callable, tuple]]:
     linear = method.linearise(*of_method(problem, U))
     slope = problem._tip(method.states(U.along, layout)).by_base_part
     defect, _ = method.condense(factors.inner, F.along)
-    point = pointwise_problem(U.along[:, : layout.size], rod, history)
+    point = pointwise_problem(U.along[:, : layout.size], rod, layout, history)
     # As motions on a GPU have them.
     single = functools.partial(Equations.factorise, single=True)
     return {
