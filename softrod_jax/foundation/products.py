@@ -17,7 +17,7 @@ def product(A, B) -> Float[Array, "*batch n k"]:
 
 def product_in_components(A, B) -> Float[Array, "*batch n k"]:
     """The same, as a sum of outer products."""
-    terms = [A[..., :, j, None] * B[..., j, None, :] for j in range(A.shape[-1])]
+    terms = (A[..., :, j, None] * B[..., j, None, :] for j in range(A.shape[-1]))
     return sum(terms)  # pyright: ignore[reportReturnType]  # there is a term
 
 
