@@ -9,6 +9,8 @@ import softrod_jax as sr
 from calibration import calibrate, write_log
 from calibration.cli.main import main
 from calibration.parameters.catalogue import choose
+from calibration.parameters.materials import MATERIALS
+from softrod_jax.scene.silicones import SILICONES
 
 ALL = (0.0, 1.0)
 QUIET = {"checks": False, "window": ALL, "progress": False, **FIT}
@@ -93,3 +95,12 @@ def test_the_command_line_takes_paths(tmp_path, capsys):
     assert path in capsys.readouterr().out
     assert main([*call[:3], "--fit", "segments[4].density", *call[5:]]) == 2
     assert "there are 2, counted from 0" in capsys.readouterr().err
+
+
+def test_silicones_are_within_their_ranges():
+    """What a name stands for does not make a report warn of it."""
+    for name, (law, density) in SILICONES.items():
+        low, high = MATERIALS[name].young_modulus
+        assert low < float(law.young_modulus) < high, name
+        low, high = MATERIALS[name].density
+        assert low < density < high, name
