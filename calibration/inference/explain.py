@@ -32,6 +32,7 @@ _GROUPS = (
     "density",
     "length",
     "shear_damping",
+    "damping_time",
     "drag_coefficient",
     "bending_damping",
     "material_c1",

@@ -97,6 +97,7 @@ def _of_any_scene() -> list[Parameter]:
             "drag_coefficient", "kg/m^2", _scene("drag_coefficient"), remedy="rod.drag_coefficient"
         ),
         Parameter("shear_damping", "N s", _scene("shear_damping"), remedy="rod.shear_damping"),
+        Parameter("damping_time", "s", _scene("damping_time"), remedy="rod.damping_time"),
         Parameter("poisson_ratio", "1", _scene("poisson_ratio"), scale=Between(-1.0, 0.5)),
         Parameter("density", "kg/m^3", _scene("density")),
         Parameter("length", "m", _length, remedy="rod.length"),
