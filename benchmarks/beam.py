@@ -5,8 +5,9 @@
 FOLDER has beam_gravity_V2_a.c3d and beam_load52_V2_a.c3d of
 https://github.com/srl-ethz/diffPD_sim2real: a silicone beam that is let go by hand, bare and with
 52 g at its tip. Each law is fitted to both recordings together, and to each of them, from which the
-other one is then predicted, but for how long the hand took to let go, which is fitted to it. AIC and BIC count the samples that the residuals of the richest law are
-worth, as they are correlated in time; the lower, the better.
+other one is then predicted, but for how long the hand took to let go, which is fitted to it. AIC
+and BIC count the samples that the residuals of the richest law are worth, as they are correlated in
+time; the lower, the better.
 """
 
 import sys

@@ -27,7 +27,7 @@ RELAXATION: dict[str, Any] = {
     "harmless": ((1e-3, 1.0), (1e-3, 1.0)),
 }
 DAMPING = {"optional": True, "sizes": (0, 3), "at_least": 0, "zero_is_absent": True}
-DAMPING_TIME = DAMPING | {"sizes": (0,)}
+DAMPING_TIME: dict[str, Any] = DAMPING | {"sizes": (0,)}
 
 
 class Stiffness(eqx.Module):
