@@ -58,8 +58,9 @@ def calibrate(
 ) -> Fit:
     """Fit numbers of `scene`, and of the bench around it, so that its tip moves as recorded.
 
-    - `fit`: names out of `calibration.parameters.catalogue.catalogue`; by default those of
-      young_modulus, bending_damping and drag_coefficient that the scene has. The search starts
+    - `fit`: names out of `calibration.parameters.catalogue.catalogue`, or paths of numbers in the
+      scene (`calibration.parameters.paths`); by default those of young_modulus,
+      bending_damping and drag_coefficient that the scene has. The search starts
       from their values in the scene; everything else stays as it is.
     - `per_recording`: those of them of which each recording has its own value.
     - `bounds`: (low, high) by name, in the parameter's unit.

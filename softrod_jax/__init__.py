@@ -34,6 +34,8 @@ from softrod_jax.scene.sections import GeneralSection as GeneralSection
 from softrod_jax.scene.sections import Rectangle as Rectangle
 from softrod_jax.scene.segments import Segment as Segment
 from softrod_jax.scene.segments import Stiffness as Stiffness
+from softrod_jax.scene.silicones import Silicone as Silicone
+from softrod_jax.scene.silicones import silicone as silicone
 from softrod_jax.scene.tendons import Helix as Helix
 from softrod_jax.scene.tendons import Line as Line
 from softrod_jax.scene.tendons import Points as Points

@@ -280,6 +280,65 @@ def test_without_branches_there_is_nothing():
     assert plain.relaxation is None and plain.relaxed is plain
 
 
+# A time that makes a damping of the stiffness
+
+K_BT = E * I * np.array([1.0, 1.0, 2 / 2.98])
+K_SE = E * A * np.array([1 / 2.98, 1 / 2.98, 1.0])
+TIMED = {
+    "in space": {},
+    "beside another": dict(bending_damping=1e-7),
+    "plane, inextensible": dict(plane="xz", inextensible=True),
+    "with branches": dict(relaxation=BRANCHES, plane="xz"),
+}
+
+
+@pytest.mark.parametrize("name", TIMED)
+def test_a_time_of_damping_is_a_part_of_the_stiffness(name):
+    time = 5e-3
+    changes = dict(gravity=ACROSS, relaxation=None) | TIMED[name]
+    bending = time * K_BT + changes.get("bending_damping", 0.0)
+    known = dict(bending_damping=bending)
+    if "inextensible" not in changes:
+        known["shear_damping"] = time * K_SE
+    run = jax.jit(lambda x: moved(x, 0.01, 8).tip_positions)
+    tips = run(rod(**changes, damping_time=time))
+    np.testing.assert_allclose(tips, run(rod(**(changes | known))), rtol=0, atol=1e-12)
+    without = run(rod(**changes))
+    assert np.abs(tips - without).max() > 1e-4
+
+
+def test_a_time_of_damping_by_segments_tapers_and_rubber():
+    def along(**own):
+        parts = [
+            sr.Segment(0.05, sr.Circle(R), section_at_end=sr.Circle(R / 2), young_modulus=2 * E),
+            sr.Segment(0.05, sr.Circle(R), material=sr.NeoHookean(E), damping_time=0.02),
+        ]
+        scene = rod(length=None, section=None, segments=parts, relaxation=None, **own)
+        return body_along(scene, METHOD.fitted(scene).grid(scene))
+
+    body = along(damping_time=5e-3)
+    # On either side of the node at the border, which is there twice.
+    half = len(body.K_bt) // 2
+    for B, K in ((body.B_bt, body.K_bt), (body.B_se, body.K_se)):
+        np.testing.assert_allclose(B[: half - 1], 5e-3 * K[: half - 1], rtol=1e-12)
+        np.testing.assert_allclose(B[half + 1 :], 0.02 * K[half + 1 :], rtol=1e-12)
+    assert along().B_bt[0, 0] == 0.0 and along().B_bt[-1, 0] > 0.0
+
+
+def test_a_loss_factor_is_a_time_of_damping():
+    """Of a rod that a tendon on its axis presses together, to and fro, at the frequency."""
+    eta, omega, n, periods = 0.3, 2 * np.pi * 4.0, 100, 4
+    dt = 2 * np.pi / omega / n
+    phase = 2 * np.pi * np.arange(1, n * periods + 1) / n
+    tensions = 1e-4 * E * A * (1 - np.cos(phase))[:, None]
+    scene = rod(relaxation=None, damping_time=eta / omega, tendons=ON_AXIS, **LIGHT)
+    motion = moved(scene, dt, n * periods, tensions)
+    last, wave = slice(-n, None), np.exp(-1j * phase[-n:])
+    modulus = -(tensions[last, 0] @ wave) / (motion.strains[1:, 3, 2][last] @ wave) / A
+    np.testing.assert_allclose(modulus.imag / modulus.real, eta, rtol=0, atol=1e-4)
+    np.testing.assert_allclose(modulus.real, E, rtol=1e-3)
+
+
 # Derivatives, and what cannot be
 
 

@@ -7,7 +7,6 @@ The others with components are fitted one by one: `sensor_offset` stands for `se
 """
 
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -15,59 +14,12 @@ import numpy as np
 
 import softrod_jax as sr
 from calibration.experiment.setup import Setup
-from calibration.parameters.scales import AbstractScale, Between, Factor, Shift
+from calibration.parameters.parameter import AbstractParameter, Parameter
+from calibration.parameters.paths import is_path, path_parameter
+from calibration.parameters.scales import Between, Factor, Shift
 from softrod_jax.scene.inputs import KINDS
 from softrod_jax.scene.placement import outside_sections
 from softrod_jax.scene.tendons import rubbing
-
-
-@dataclass(frozen=True)
-class Parameter:
-    """One number, or several that are scaled together.
-
-    - `find`: the array it is in, in a `Setup`; `index` in that array, None for all of it. Or a
-      tuple of numbers, of which some may be None, as tendons have them: all those there are, or
-      the one at `index`.
-    - `make`: puts the array into a setup that has none, at values that change nothing; None if
-      the scene must have it.
-    - `remedy`: what to add to a scene that lacks it.
-    - `allowed`: whether a setup's value can be; None if every one of its scale can.
-    """
-
-    name: str
-    unit: str
-    find: Callable
-    scale: AbstractScale = Factor()
-    index: int | tuple[int, ...] | None = None
-    make: Callable | None = None
-    remedy: str = ""
-    allowed: Callable | None = None
-
-    def get(self, setup: Setup):
-        """The value in `setup`; None if it has none."""
-        array = self.find(setup)
-        if isinstance(array, tuple):
-            if isinstance(self.index, int):
-                return array[self.index]
-            numbers = [x for x in array if x is not None]
-            return jnp.stack(numbers) if numbers else None
-        return array if array is None or self.index is None else array[self.index]
-
-    def put(self, setup: Setup, value) -> Setup:
-        """The setup with another value."""
-        there = self.find(setup)
-        if isinstance(there, tuple):
-            one = lambda i: self.index is None or self.index == i
-            numbers = iter(value if self.index is None else (value,))
-            own = [one(i) and x is not None for i, x in enumerate(there)]
-            value = tuple(next(numbers) if mine else x for mine, x in zip(own, there))
-        elif self.index is not None:
-            value = self.find(setup).at[self.index].set(value)
-        return eqx.tree_at(self.find, setup, value)
-
-    def prepare(self, setup: Setup) -> Setup:
-        """The setup with the array there, at values that change nothing."""
-        return setup if self.find(setup) is not None or self.make is None else self.make(setup)
 
 
 def as_names(names: Iterable[str] | str) -> tuple[str, ...]:
@@ -122,6 +74,7 @@ def catalogue(scene: sr.Scene) -> tuple[dict[str, Parameter], dict[str, tuple[st
     """Every parameter of `scene` by name, and groups of them by the name of the group."""
     entries = [
         *((None, parameter) for parameter in _of_any_scene()),
+        *_of_material(scene),
         *_of_tendons(scene),
         *_of_chambers(scene),
         *_of_the_bench(scene),
@@ -144,7 +97,8 @@ def _of_any_scene() -> list[Parameter]:
             "drag_coefficient", "kg/m^2", _scene("drag_coefficient"), remedy="rod.drag_coefficient"
         ),
         Parameter("shear_damping", "N s", _scene("shear_damping"), remedy="rod.shear_damping"),
-        Parameter("poisson_ratio", "1", _scene("poisson_ratio"), Between(-1.0, 0.5)),
+        Parameter("damping_time", "s", _scene("damping_time"), remedy="rod.damping_time"),
+        Parameter("poisson_ratio", "1", _scene("poisson_ratio"), scale=Between(-1.0, 0.5)),
         Parameter("density", "kg/m^3", _scene("density")),
         Parameter("length", "m", _length, remedy="rod.length"),
         Parameter(
@@ -166,6 +120,29 @@ def _of_any_scene() -> list[Parameter]:
             allowed=_in_section("tendons"),
         ),
     ]
+
+
+def _of_material(scene: sr.Scene) -> list[_Entry]:
+    """The constants of rubber, what was measured instead of moduli, and branches that relax."""
+    found: list[_Entry] = []
+    for part, unit in (
+        *(("material.c1", "Pa"), ("material.c2", "Pa"), ("material.mu", "Pa")),
+        *(("stiffness.bending", "N m^2"), ("stiffness.torsion", "N m^2")),
+        *(("stiffness.axial", "N"), ("stiffness.shear", "N")),
+    ):
+        owner, key = part.split(".")
+        if getattr(getattr(scene, owner), key, None) is not None:
+            found.append((None, Parameter(f"{owner}_{key}", unit, _part(owner, key))))
+    if scene.relaxation is None:
+        return found
+    branches = range(np.shape(scene.relaxation)[0])
+    for name, column, unit, scale in (
+        ("relaxation_part", 0, "1", Between(0.0, 1.0)),
+        ("relaxation_time", 1, "s", Factor()),
+    ):
+        indices = {str(j + 1): (j, column) for j in branches}
+        found += _group(name, unit, _scene("relaxation"), scale, indices)
+    return found
 
 
 def _of_tendons(scene: sr.Scene) -> list[_Entry]:
@@ -237,7 +214,10 @@ def _of_the_bench(scene: sr.Scene) -> list[_Entry]:
 def _group(group, unit, find, scale, indices, make=None, allowed=None) -> list[_Entry]:
     """A parameter for each index of an array, by the suffix of its name: {suffix: index}."""
     return [
-        (group, Parameter(f"{group}_{suffix}", unit, find, scale, index, make, allowed=allowed))
+        (
+            group,
+            Parameter(f"{group}_{suffix}", unit, find, index, make, scale=scale, allowed=allowed),
+        )
         for suffix, index in indices.items()
     ]
 
@@ -250,10 +230,33 @@ def _xy(count: int) -> dict[str, tuple[int, int]]:
     return {f"{i + 1}_{axis}": (i, j) for i in range(count) for j, axis in enumerate("xy")}
 
 
+def parameters_of(scene: sr.Scene, names: Iterable[str]) -> tuple[AbstractParameter, ...]:
+    """Those of these names, of which some may be paths of numbers in the scene.
+
+    Raises `ValueError` for an unknown name, and for a path that leads to no number.
+    """
+    known, groups = catalogue(scene)
+
+    def one(name: str) -> AbstractParameter:
+        if is_path(name):
+            return path_parameter(scene, name)
+        if name not in known:
+            listed = ", ".join([*known, *groups])
+            raise ValueError(
+                f"fit: unknown parameter {name!r}; known: {listed}; or a path of a number in the "
+                "scene, such as segments[0].young_modulus"
+            )
+        return known[name]
+
+    return tuple(map(one, names))
+
+
 def choose(
     scene: sr.Scene, fit: Iterable[str] | str | None, given: Iterable[str] = ()
 ) -> tuple[str, ...]:
     """The names of the parameters to fit; those of `DEFAULT` that the scene has if None.
+
+    A name may be the path of a number in the scene (`calibration.parameters.paths`).
 
     A group is replaced by its members. Values of those in `given` come from recordings, so that
     the scene's own may be 0. Raises `ValueError` for an unknown name, a repeated one, none at all,
@@ -279,11 +282,7 @@ def choose(
 
 
 def _check(scene: sr.Scene, name: str, may_be_zero: bool) -> None:
-    parameters, groups = catalogue(scene)
-    if name not in parameters:
-        names = ", ".join([*parameters, *groups])
-        raise ValueError(f"fit: unknown parameter {name!r}; known: {names}")
-    parameter = parameters[name]
+    (parameter,) = parameters_of(scene, [name])
     value = parameter.get(parameter.prepare(Setup(scene)))
     if value is None:
         raise ValueError(
@@ -299,9 +298,12 @@ def _check(scene: sr.Scene, name: str, may_be_zero: bool) -> None:
 
 def with_values(setup: Setup, names: tuple[str, ...], theta) -> Setup:
     """The setup with the parameters `names` at `theta`, (parameters,)."""
-    parameters, _ = catalogue(setup.scene)
-    for name, coordinate in zip(names, theta, strict=True):
-        parameter = parameters[name]
+    return moved(setup, parameters_of(setup.scene, names), theta)
+
+
+def moved(setup: Setup, parameters: tuple[AbstractParameter, ...], theta) -> Setup:
+    """The setup with the parameters at `theta`, (parameters,)."""
+    for parameter, coordinate in zip(parameters, theta, strict=True):
         value = parameter.scale.value(parameter.get(setup), coordinate)
         setup = parameter.put(setup, value)
     return setup
@@ -309,8 +311,7 @@ def with_values(setup: Setup, names: tuple[str, ...], theta) -> Setup:
 
 def prepared(scene: sr.Scene, names: Iterable[str]) -> Setup:
     """A setup around `scene` in which every one of `names` has a place."""
-    parameters, _ = catalogue(scene)
     setup = Setup(scene)
-    for name in names:
-        setup = parameters[name].prepare(setup)
+    for parameter in parameters_of(scene, names):
+        setup = parameter.prepare(setup)
     return setup

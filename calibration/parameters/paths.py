@@ -3,9 +3,12 @@
     segments[1].young_modulus     of the second segment
     tendons[*].friction           of all tendons that have it, scaled or shifted together
     stiffness.bending[0]          one of several numbers
+    segments[0].material.c1       of a law of rubber
+    relaxation[1][0]              of the second branch the part of the stiffness; [1] is its time
     segments[0].young_modulus = segments[2].young_modulus    tied: changed together
 
-A number that cannot be negative changes by a factor, any other one by a shift.
+A number that cannot be negative changes by a factor, one with two ends (such as a part of the
+stiffness) between them, any other one by a shift.
 """
 
 import re
@@ -19,6 +22,7 @@ import numpy as np
 
 import softrod_jax as sr
 from calibration.experiment.setup import Setup
+from calibration.parameters.parameter import AbstractParameter
 from calibration.parameters.scales import AbstractScale, Between, Factor, Shift
 from softrod_jax.scene.chambers import Chambers
 from softrod_jax.scene.ranges import numbers_of, singular
@@ -28,12 +32,15 @@ _STEP = re.compile(r"([a-z_][a-z_0-9]*)((?:\[(?:\d+|\*)\])*)")
 # What matters of a number that may have either sign, by its unit.
 _SIZES = {"m": 1e-3, "rad": np.pi / 180, "1/m": 0.5, "N": 0.05, "N m": 1e-3, "m/s^2": 0.5, "": 0.05}
 
+# Unit and scale of what a branch of a Prony series has.
+_OF_BRANCHES = {0: ("1", Between(0.0, 1.0)), 1: ("s", Factor())}
+
 
 class _Place(NamedTuple):
-    """A leaf of a scene, `find` of it, and the entry of the leaf; all of it if `None`."""
+    """A leaf of a scene, `find` of it, and the index in the leaf; all of it if `None`."""
 
     find: Callable
-    index: int | None
+    index: Any
 
 
 def is_path(name: str) -> bool:
@@ -42,12 +49,9 @@ def is_path(name: str) -> bool:
 
 
 @dataclass(frozen=True)
-class PathParameter:
-    """The numbers at the places of a path, changed together; otherwise as `Parameter`."""
+class PathParameter(AbstractParameter):
+    """The numbers at the places of a path, changed together."""
 
-    name: str
-    unit: str
-    scale: AbstractScale
     places: tuple[_Place, ...]
 
     def get(self, setup: Setup):
@@ -83,7 +87,7 @@ def path_parameter(scene: sr.Scene, name: str) -> PathParameter:
         raise ValueError(f"fit: {name!r} ties numbers of the units {sorted(units)}; they differ")
     places = tuple(place for own, _, _ in found for place in own)
     _, unit, scale = found[0]
-    return PathParameter(name, unit or "1", scale, places)
+    return PathParameter(name, unit or "1", places, scale=scale)
 
 
 def _resolved(scene: sr.Scene, path: str, name: str):
@@ -99,6 +103,8 @@ def _resolved(scene: sr.Scene, path: str, name: str):
         words += [x if x == "*" else int(x) for x in re.findall(r"\[(\d+|\*)\]", match[2])]
     places, owner = _walk(scene, words, lambda s: s, name)
     kind, field = owner
+    if field == "relaxation":
+        return places, *_OF_BRANCHES[words[-1]]
     known = numbers_of(kind).get(field)
     unit = "" if known is None else known.unit
     return places, unit, _scale(known, unit)
@@ -123,6 +129,11 @@ def _walk(here: Any, words: list, find: Callable, name: str):
             f"fit: the scene has no {word!r} of {name!r}; give it a starting value, or leave it out"
         )
     inner = lambda s: getattr(find(s), field)
+    if field == "relaxation" and (len(rest) != 2 or rest[1] not in _OF_BRANCHES):
+        raise ValueError(
+            f"fit: {name!r}: of a branch a part of the stiffness or a time is fitted, "
+            "relaxation[i][0] or relaxation[i][1]"
+        )
     if isinstance(there, (tuple, list, eqx.Module)) and rest:
         return _walk(there, rest, inner, name)
     return _entries(there, rest, inner, name), (type(here), field)
@@ -157,10 +168,11 @@ def _entries(leaf, rest, find: Callable, name: str) -> tuple[_Place, ...]:
     """The whole of a leaf, or an entry of it."""
     if not rest or rest == ["*"]:
         return (_Place(find, None),)
-    (index,) = rest if len(rest) == 1 else (None,)
-    if not isinstance(index, int) or np.ndim(leaf) != 1 or index >= np.shape(leaf)[0]:
-        raise ValueError(f"fit: {name!r} is no number of the scene; its shape is {np.shape(leaf)}")
-    return (_Place(find, index),)
+    shape = np.shape(leaf)
+    inside = [x == "*" or (isinstance(x, int) and x < n) for x, n in zip(rest, shape)]
+    if len(rest) != len(shape) or not all(inside):
+        raise ValueError(f"fit: {name!r} is no number of the scene; its shape is {shape}")
+    return (_Place(find, tuple(slice(None) if x == "*" else x for x in rest)),)
 
 
 def _item(find: Callable, i: int) -> Callable:

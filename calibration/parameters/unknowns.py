@@ -9,7 +9,14 @@ import numpy as np
 import softrod_jax as sr
 from calibration.data.recording import Recording, RecordingError
 from calibration.experiment.setup import Setup
-from calibration.parameters.catalogue import Parameter, as_names, catalogue, choose, prepared
+from calibration.parameters.catalogue import (
+    as_names,
+    catalogue,
+    choose,
+    parameters_of,
+    prepared,
+)
+from calibration.parameters.parameter import AbstractParameter
 from calibration.parameters.scales import Factor
 
 
@@ -21,7 +28,7 @@ class Unknown:
     """
 
     label: str
-    parameter: Parameter
+    parameter: AbstractParameter
     recording: int | None
     initial: np.ndarray
     low: float
@@ -82,9 +89,9 @@ class Unknowns:
 
 def conditioned(setup: Setup, conditions: Mapping[str, Any]) -> Setup:
     """The setup with the values that a recording gives."""
-    parameters, _ = catalogue(setup.scene)
-    for name, value in conditions.items():
-        setup = parameters[name].put(setup, value)
+    parameters = parameters_of(setup.scene, conditions)
+    for parameter, value in zip(parameters, conditions.values(), strict=True):
+        setup = parameter.put(setup, value)
     return setup
 
 
@@ -116,11 +123,11 @@ def choose_unknowns(
             if name not in names:
                 raise ValueError(f"{what}: {name!r} is not fitted; add it to fit, or leave it out")
     setup = prepared(setup.scene, [*conditions, *names, *places])
-    parameters, _ = catalogue(setup.scene)
+    parameters = parameters_of(setup.scene, names)
     items: list[Unknown] = []
     columns = np.full((len(recordings), len(names)), -1)
     for j, name in enumerate(names):
-        parameter, given = parameters[name], bounds.get(name)
+        parameter, given = parameters[j], bounds.get(name)
         if name not in own and name not in conditions:
             columns[:, j] = len(items)
             items.append(_unknown(parameter, name, None, setup, given))
@@ -135,7 +142,7 @@ def choose_unknowns(
 
 
 def _unknown(
-    parameter: Parameter, label: str, recording: int | None, setup: Setup, given
+    parameter: AbstractParameter, label: str, recording: int | None, setup: Setup, given
 ) -> Unknown:
     """An unknown that is searched around its value in `setup`, between the bounds `given`."""
     initial = np.asarray(parameter.get(setup))
@@ -184,7 +191,7 @@ def _bounds(parameter, initial, given, setup) -> tuple[float, float]:
 _HALVINGS = 40
 
 
-def _reach(parameter: Parameter, initial, setup: Setup, end: float) -> float:
+def _reach(parameter: AbstractParameter, initial, setup: Setup, end: float) -> float:
     """How far theta may go towards `end` for the parameter to stay what it can be, such as a
     tendon within the section; all the way if it is not there from the start."""
     allowed = parameter.allowed

@@ -13,10 +13,9 @@ from jaxtyping import Float
 import softrod_jax as sr
 from calibration.experiment.setup import Setup
 from calibration.inference.uncertainty import IDENTIFIED, NOT_IDENTIFIABLE
-from calibration.parameters.catalogue import as_names, catalogue, choose
-from calibration.parameters.paths import is_path
+from calibration.parameters.catalogue import as_names, choose, parameters_of, prepared
 from calibration.postures.data import Postures
-from calibration.postures.prediction import Evaluation, Model, coarse, parameters_of
+from calibration.postures.prediction import Evaluation, Model, coarse
 from calibration.report.results import Estimate
 from calibration.search.minimum import CalibrationError
 
@@ -104,7 +103,7 @@ def calibrate_postures(
 def prepared_model(scene: sr.Scene, postures: Postures, fit, method: sr.Collocation) -> Model:
     """The model of what is to be fitted; `method` along the rod. Raises as `calibrate_postures`."""
     setup, names = _prepared(scene, fit)
-    return Model(setup, postures, parameters_of(setup, names), coarse(method.fitted(scene)))
+    return Model(setup, postures, parameters_of(setup.scene, names), coarse(method.fitted(scene)))
 
 
 def prior_information(model: Model, priors) -> Float[np.ndarray, "parameters parameters"]:
@@ -119,17 +118,8 @@ def _prepared(scene: sr.Scene, fit) -> tuple[Setup, tuple[str, ...]]:
     asked = as_names(fit)
     if not asked:
         raise ValueError("fit: no parameters; name at least one")
-    names: list[str] = []
-    for name in asked:
-        names += [name] if is_path(name) else choose(scene, [name])
-    if len(set(names)) < len(names):
-        twice = next(n for n in names if names.count(n) > 1)
-        raise ValueError(f"fit: {twice!r} is named twice; leave one out")
-    setup = Setup(scene)
-    for name in names:
-        if not is_path(name):
-            setup = catalogue(scene)[0][name].prepare(setup)
-    return setup, tuple(names)
+    names = choose(scene, asked)
+    return prepared(scene, names), names
 
 
 def _pairs(what: str, given, names) -> dict[str, tuple[float, float]]:

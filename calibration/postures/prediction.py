@@ -12,8 +12,8 @@ from jaxtyping import Array, Bool, Float
 
 import softrod_jax as sr
 from calibration.experiment.setup import Setup, rotated
-from calibration.parameters.catalogue import Parameter, catalogue
-from calibration.parameters.paths import PathParameter, is_path, path_parameter
+from calibration.parameters.catalogue import moved, parameters_of
+from calibration.parameters.parameter import AbstractParameter
 from calibration.postures.data import NOISE, TURN, Postures
 from softrod_jax.scene.inputs import Inputs
 from softrod_jax.scene.tendons import rubbing
@@ -66,7 +66,7 @@ class Model:
 
     setup: Setup
     postures: Postures
-    parameters: tuple[Parameter | PathParameter, ...]
+    parameters: tuple[AbstractParameter, ...]
     method: sr.Collocation
 
     @property
@@ -138,20 +138,6 @@ class Model:
         return np.concatenate(trials), (*blocks, jnp.asarray(there))
 
 
-def moved(setup: Setup, parameters: tuple[Parameter | PathParameter, ...], theta) -> Setup:
-    """The setup with the parameters at theta."""
-    for parameter, coordinate in zip(parameters, theta, strict=True):
-        value = parameter.scale.value(parameter.get(setup), coordinate)
-        setup = parameter.put(setup, value)
-    return setup
-
-
-def parameters_of(setup: Setup, names: tuple[str, ...]) -> tuple[Parameter | PathParameter, ...]:
-    """Those of these names, which may be paths."""
-    known, _ = catalogue(setup.scene)
-    return tuple(path_parameter(setup.scene, n) if is_path(n) else known[n] for n in names)
-
-
 @functools.cache
 def _program(names, markers, method, followed: bool):
     """The program that all models share whose numbers alone differ: of one row, or of a path.
@@ -161,7 +147,7 @@ def _program(names, markers, method, followed: bool):
     """
 
     def one(theta, setup, noise, inputs, target, there):
-        parameters = parameters_of(setup, names)
+        parameters = parameters_of(setup.scene, names)
 
         def compared(theta):
             here = moved(setup, parameters, theta)

@@ -54,6 +54,8 @@ def body_along(scene: Scene, grid: Grid) -> Body:
         own = source is None or any(
             getattr(x, source) is not getattr(segments[0], source) for x in segments
         )
+        # A time makes a damping of the stiffness, which differs.
+        own |= name in ("B_se", "B_bt") and any(x.damping_time is not None for x in segments)
         values = [getattr(body, name) for body in bodies]
         chosen[name] = _selected(values, number) if own else values[0]
     fibres = _fibres_along([body.fibres for body in bodies], number)
@@ -102,8 +104,8 @@ def _body(segment: Segment, x: Float[Array, "points"], scene: Scene) -> Body:
         u_star=u_star,
         rho_A=rho_A,
         rho_J=rho_J,
-        B_se=_diagonal(segment.shear_damping),
-        B_bt=_diagonal(segment.bending_damping),
+        B_se=_damping(segment, segment.shear_damping, None if scene.inextensible else K_se),
+        B_bt=_damping(segment, segment.bending_damping, K_bt),
         C=_diagonal(segment.drag_coefficient),
         fibres=fibres,
         relaxation=None if branches is None else Relaxation(branches[:, 0], branches[:, 1]),
@@ -206,6 +208,14 @@ def _of_moduli(E, nu, segment: Segment, section, scene: Scene):
     if segment.shear_correction is not None:
         kGA = segment.shear_correction * kGA
     return jnp.stack([kGA, kGA, E * section.area]), K_bt
+
+
+def _damping(segment: Segment, value, K: Array | None) -> Array | None:
+    """What is given as such, and what a time makes of the stiffness."""
+    B, time = _diagonal(value), segment.damping_time
+    if time is None or K is None:
+        return B
+    return time * K if B is None else B + time * K
 
 
 def _diagonal(value):

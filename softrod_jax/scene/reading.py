@@ -1,7 +1,7 @@
 """What the tables of a scene file become: a checked `Scene`, or an error that names the key."""
 
 import dataclasses
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from typing import Any
 
 import jax
@@ -16,6 +16,7 @@ from softrod_jax.scene.planes import misfits
 from softrod_jax.scene.scene import Scene, as_arrays
 from softrod_jax.scene.schema import SceneError, complaint, read_table
 from softrod_jax.scene.segments import Segment, Stiffness
+from softrod_jax.scene.silicones import silicone
 from softrod_jax.scene.tendons import Tendons
 
 # An end this close to the tip, in lengths of the rod, is the tip: lengths add up with rounding.
@@ -27,7 +28,7 @@ def scene_of(document: dict, file: str) -> Scene:
     top = read_table(document, schema.SCENE, file)
     rod = _shaped(top["rod"], schema.ROD, f"{file} rod")
     segments = [
-        Segment(**_shaped(table, schema.SEGMENT, where))
+        Segment(**_shaped(table, schema.SEGMENT, where, rod))
         for table, where in _each(top, "segments", file)
     ]
     if "segments" in top:
@@ -65,8 +66,8 @@ def _each(top: dict, name: str, file: str):
         yield table, f"{file} {name}[{i}]"
 
 
-def _shaped(table: dict, keys: schema.Schema, where: str) -> dict:
-    """The values of [rod] or of a segment, with its sections and its stiffness."""
+def _shaped(table: dict, keys: schema.Schema, where: str, rod: Iterable[str] = ()) -> dict:
+    """The values of [rod], or of a segment of a rod with the keys `rod`: sections, stiffness."""
     values = read_table(table, keys, where)
     for name in ("section", "section_at_end"):
         if name in values:
@@ -79,8 +80,14 @@ def _shaped(table: dict, keys: schema.Schema, where: str) -> dict:
     if "stiffness" in values:
         numbers = read_table(values["stiffness"], schema.STIFFNESS, f"{where}.stiffness")
         values["stiffness"] = Stiffness(**numbers)
-    if "material" in values:
-        values["material"] = _law(values["material"], f"{where}.material")
+    material = values.get("material")
+    if isinstance(material, str):
+        values["material"], density = silicone(material)
+        # What is weighed is better known than what a name says.
+        if not {"density", "linear_density"} & {*values, *rod}:
+            values["density"] = density
+    elif material is not None:
+        values["material"] = _law(material, f"{where}.material")
     return values
 
 

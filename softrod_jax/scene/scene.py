@@ -28,7 +28,14 @@ from softrod_jax.scene.materials import AbstractRubber
 from softrod_jax.scene.printing import described
 from softrod_jax.scene.ranges import number, numbers_of
 from softrod_jax.scene.sections import Section
-from softrod_jax.scene.segments import DAMPING, RELAXATION, Segment, Stiffness, stays_stiff
+from softrod_jax.scene.segments import (
+    DAMPING,
+    DAMPING_TIME,
+    RELAXATION,
+    Segment,
+    Stiffness,
+    stays_stiff,
+)
 from softrod_jax.scene.tendons import Tendons
 
 # The planes that a scene may be in: across the rod, and along it.
@@ -51,6 +58,8 @@ class Scene(eqx.Module):
     - `stiffness` instead of the moduli and `linear_density` [kg/m] instead of the density.
     - `bending_damping` B_bt [N m^2 s] and `shear_damping` B_se [N s]: Kelvin-Voigt, a number
       or (3,) for x, y, z of the body frame.
+    - `damping_time` t [s]: Kelvin-Voigt as well, t times the stiffness, added to these. A loss
+      factor that was measured at a frequency f is 2 pi f t there.
     - `relaxation`: branches (g, tau) of a Prony series, rows of a part of the stiffness, which all
       else says as it is at once, and a time [s] in which that part relaxes. Equilibria are relaxed.
     - `gravity` [m/s^2], (3,), base frame.
@@ -79,6 +88,7 @@ class Scene(eqx.Module):
     density: Maybe[ScalarLike] = number("kg/m^3", optional=True, above=0, harmless=1.0)
     bending_damping: Maybe[DiagonalLike] = number("N m^2 s", **DAMPING)
     shear_damping: Maybe[DiagonalLike] = number("N s", **DAMPING)
+    damping_time: Maybe[ScalarLike] = number("s", **DAMPING_TIME)
     gravity: Maybe[VectorLike] = number("m/s^2", **DEAD_LOAD)
     drag_coefficient: Maybe[DiagonalLike] = number("kg/m^2", **DAMPING)
     tendons: Tendons | None = None
@@ -179,6 +189,7 @@ SHARED = (
     "relaxation",
     "bending_damping",
     "shear_damping",
+    "damping_time",
     "drag_coefficient",
     "shear_correction",
     "rest_curvature",

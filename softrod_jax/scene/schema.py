@@ -18,6 +18,7 @@ from softrod_jax.scene.ranges import Number, is_required, numbers_of
 from softrod_jax.scene.scene import PLANES, Scene
 from softrod_jax.scene.sections import Annulus, Circle, GeneralSection, Rectangle
 from softrod_jax.scene.segments import Segment, Stiffness
+from softrod_jax.scene.silicones import SILICONES, known_silicones
 from softrod_jax.scene.tendons import CONTROLS, GUIDES, Helix, Line, Points, Tendons
 
 
@@ -74,6 +75,24 @@ class Table:
             name = where.rsplit(".", 1)[-1].rsplit(" ", 1)[-1]
             raise SceneError(complaint(where, value, f"expected one table, written [{name}]"))
         return value
+
+
+@dataclass(frozen=True)
+class LawOrName:
+    """A table with a law, or the name of a silicone."""
+
+    required: bool = False
+
+    def read(self, value: Any, where: str) -> dict | str:
+        named = isinstance(value, str)
+        if isinstance(value, dict) or (named and value in SILICONES):
+            return value
+        if named:
+            allowed = f"no such silicone; {known_silicones(value)}; or a table with a law"
+        else:
+            names = ", ".join(f'"{name}"' for name in SILICONES)
+            allowed = f"expected {{ law = .. }}, or one of {names}"
+        raise SceneError(complaint(where, value, allowed))
 
 
 @dataclass(frozen=True)
@@ -144,7 +163,7 @@ class Flag:
         return value
 
 
-Schema = dict[str, Numbers | Table | Tables | Word | Text | Count | Flag]
+Schema = dict[str, Numbers | Table | LawOrName | Tables | Word | Text | Count | Flag]
 
 
 def _numbers_of(kind: type) -> Schema:
@@ -178,7 +197,7 @@ ROD: Schema = {
     "section_at_end": Table(),
     **_numbers_of(Scene),
     "stiffness": Table(),
-    "material": Table(),
+    "material": LawOrName(),
     "inextensible": Flag(),
     "plane": Word(PLANES),
 }
@@ -199,7 +218,7 @@ SEGMENT: Schema = {
     "section_at_end": Table(),
     **_numbers_of(Segment),
     "stiffness": Table(),
-    "material": Table(),
+    "material": LawOrName(),
     "intervals": Count(),
 }
 STIFFNESS = _numbers_of(Stiffness)

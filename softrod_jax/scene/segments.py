@@ -27,6 +27,7 @@ RELAXATION: dict[str, Any] = {
     "harmless": ((1e-3, 1.0), (1e-3, 1.0)),
 }
 DAMPING = {"optional": True, "sizes": (0, 3), "at_least": 0, "zero_is_absent": True}
+DAMPING_TIME: dict[str, Any] = DAMPING | {"sizes": (0,)}
 
 
 class Stiffness(eqx.Module):
@@ -65,6 +66,7 @@ class Segment(eqx.Module):
     linear_density: Maybe[ScalarLike] = number("kg/m", optional=True, above=0, harmless=1.0)
     bending_damping: Maybe[DiagonalLike] = number("N m^2 s", **DAMPING)
     shear_damping: Maybe[DiagonalLike] = number("N s", **DAMPING)
+    damping_time: Maybe[ScalarLike] = number("s", **DAMPING_TIME)
     drag_coefficient: Maybe[DiagonalLike] = number("kg/m^2", **DAMPING)
     shear_correction: Maybe[ScalarLike] = number(optional=True, above=0, harmless=1.0)
     rest_curvature: Maybe[VectorLike] = number("1/m", optional=True, sizes=(3,))

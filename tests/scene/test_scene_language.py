@@ -223,10 +223,35 @@ def test_materials(tmp_path):
     assert scene.parts[0].material is None and scene.parts[2].young_modulus is None
 
 
+def test_silicones_have_names(tmp_path):
+    """A name is a law, and a density where the scene has none; a file keeps the numbers."""
+    known = sr.silicone("ecoflex-00-50")
+    named = OF_ONE.replace("1070.0", "1050.0") + 'material = "ecoflex-00-50"\n'
+    bare = "\n".join(x for x in named.splitlines() if not x.startswith("density"))
+    assert bare != named.strip()
+    for text, density in ((named, 1050.0), (bare, known.density)):
+        scene = sr.load_scene(write(tmp_path, text))
+        assert isinstance(scene.material, sr.NeoHookean)
+        assert scene.material.mu == known.law.mu and scene.density == density
+        sr.save_scene(scene, tmp_path / "a.toml")
+        assert_same(scene, sr.load_scene(tmp_path / "a.toml"))
+    part = '[[segments]]\nlength = 0.1\nsection = { shape = "circle", radius = 5e-3 }\n'
+    both = "[rod]\n" + "".join(part + f'material = "dragon-skin-{n}"\n' for n in (10, 20))
+    first, second = sr.load_scene(write(tmp_path, both)).parts
+    assert (first.density, second.density) == (1070.0, 1080.0)
+    assert first.material.mu < second.material.mu
+    with pytest.raises(ValueError, match='did you mean "dragon-skin-10"'):
+        sr.silicone("dragon-skin10")
+
+
 @pytest.mark.parametrize(
     "text, expected",
     [
-        (OF_ONE + "material = 3", ["rod.material = 3", "one table"]),
+        (OF_ONE + "material = 3", ["rod.material = 3", "expected { law = .. }", "ecoflex-00-50"]),
+        (
+            OF_ONE + 'material = "ecoflex-50"',
+            ["rod.material = 'ecoflex-50'", 'did you mean "ecoflex-00-50"?', "a table with a law"],
+        ),
         (OF_ONE + "material = { mu = 1 }", ["rod.material.law is missing", "neo_hookean"]),
         (OF_ONE + 'material = { law = "ogden" }', ["material.law = 'ogden'", '"linear"']),
         (OF_ONE + 'material = { law = "neo_hookean" }', ["material.mu is missing", "[Pa]"]),

@@ -30,6 +30,8 @@ def robot():
             young_modulus=2e5,
             tendons=replace(scene.tendons, friction=(0.1, None, None)),
             shear_damping=1e-3,
+            damping_time=1e-4,
+            relaxation=((0.2, 0.05), (0.1, 0.5)),
             shear_correction=0.9,
             payload=sr.Payload(2e-3),
             chambers=sr.Chambers(jnp.array([7e-6]), jnp.array([[1e-3, 0.0]])),

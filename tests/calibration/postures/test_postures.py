@@ -16,6 +16,7 @@ from calibration.postures.data import Postures, joined, load_postures
 from calibration.postures.design import chosen_rows, design_postures
 from calibration.postures.fitting import calibrate_postures
 from softrod_jax.scene.inputs import Inputs
+from softrod_jax.scene.scene import as_arrays
 
 GRID = sr.Collocation(intervals=6)
 
@@ -195,6 +196,33 @@ def test_paths_lead_to_the_numbers_of_a_scene():
     one = path_parameter(scene, "tendons[3].friction")
     moved = one.put(Setup(scene), jnp.array(0.7)).scene.tendons
     np.testing.assert_allclose(moved.friction, [0.2, 0.2, 0.2, 0.7])
+
+
+def test_paths_lead_to_the_numbers_of_a_material():
+    branches = np.array([[0.3, 0.05], [0.2, 1.0]])
+    part = lambda **own: sr.Segment(length=0.05, section=sr.Circle(6e-3), **own)
+    parts = part(), part(material=sr.NeoHookean(2e4), relaxation=0.5 * branches)
+    law = sr.MooneyRivlin(6e3, 2e3)
+    scene = sr.Scene(segments=parts, material=law, density=1070.0, relaxation=branches)
+    scene = jax.tree.map(jnp.asarray, as_arrays(scene))
+    np.testing.assert_allclose(values(scene, "material.c1"), 6e3)
+    np.testing.assert_allclose(values(scene, "segments[1].material.mu"), 2e4)
+    np.testing.assert_allclose(values(scene, "relaxation[1][0]"), 0.2)
+    np.testing.assert_allclose(values(scene, "relaxation[*][1]"), [0.05, 1.0])
+    np.testing.assert_allclose(values(scene, "segments[1].relaxation[0][1]"), 0.025)
+    # A part of the stiffness stays one, a time above zero.
+    part, time = (path_parameter(scene, f"relaxation[0][{k}]") for k in (0, 1))
+    assert (part.unit, time.unit) == ("1", "s")
+    values_at = lambda p, theta: p.scale.value(p.get(Setup(scene)), theta)
+    assert 0.99 < values_at(part, 7.0) < 1.0 and 0.0 < values_at(part, -7.0) < 0.01
+    np.testing.assert_allclose(values_at(time, np.log(3.0)), 0.15)
+    moved = part.put(Setup(scene), jnp.array(0.4)).scene
+    np.testing.assert_allclose(moved.relaxation, [[0.4, 0.05], [0.2, 1.0]])
+    for name in ("relaxation", "relaxation[0]", "relaxation[0][2]", "relaxation[0][*]"):
+        with pytest.raises(ValueError, match="of a branch a part of the stiffness or a time"):
+            path_parameter(scene, name)
+    with pytest.raises(ValueError, match="its shape is"):
+        path_parameter(scene, "relaxation[2][0]")
 
 
 @pytest.mark.parametrize(
