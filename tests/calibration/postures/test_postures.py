@@ -87,9 +87,7 @@ def test_intervals_hold_the_truth_as_often_as_they_say():
     made = measured(robot(truth), TENSIONS, noise=(0.0, 0.0))
     rng, noise = np.random.default_rng(5), {"middle": 4e-4, "tip": 1.5e-3}
     for _ in range(fits):
-        positions = {
-            k: x + noise[k] * rng.normal(size=x.shape) for k, x in made.positions.items()
-        }
+        positions = {k: x + noise[k] * rng.normal(size=x.shape) for k, x in made.positions.items()}
         postures = replace(made, positions=positions, noise=noise)
         found = calibrate_postures(robot(truth), postures, fit=MODULI, method=GRID)
         ends = np.array([found.parameters[name].ci95 for name in MODULI])
@@ -140,9 +138,10 @@ def test_friction_is_told_by_the_way_there_and_back():
     postures = replace(joined(both), trials=trials)
     found = calibrate_postures(start, postures, fit=fit, method=GRID)
     for name, value in zip(fit, (1.8e5, 0.25)):
-        low, high = np.ravel(found.parameters[name].ci95[0])[0], np.ravel(
-            found.parameters[name].ci95[1]
-        )[0]
+        low, high = (
+            np.ravel(found.parameters[name].ci95[0])[0],
+            np.ravel(found.parameters[name].ci95[1])[0],
+        )
         assert low < value < high < 1.3 * low, (name, low, high)
 
 
