@@ -266,7 +266,7 @@ def _solution(scene, inputs, rod, method, solved, valid, transient_steps):
         pulls=jnp.zeros(0) if inputs.pulls is None else jnp.asarray(inputs.pulls),
         markers=seen(scene, method.inside(strain), nodes, positions, quaternions),
         contact_force=dict(
-            zip(contact_names(scene.contacts), contact_forces(fields.y, rod, layout))
+            zip(contact_names(scene.contacts), contact_forces(fields.y, rod, layout), strict=True)
         ),
         result=result,
         stats={
