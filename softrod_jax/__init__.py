@@ -15,6 +15,11 @@ from softrod_jax.scene.acting import AbstractDistributedLoad as AbstractDistribu
 from softrod_jax.scene.acting import AbstractEnergy as AbstractEnergy
 from softrod_jax.scene.acting import Here as Here
 from softrod_jax.scene.chambers import Chambers as Chambers
+from softrod_jax.scene.contacts import AbstractObstacle as AbstractObstacle
+from softrod_jax.scene.contacts import Contact as Contact
+from softrod_jax.scene.contacts import Plane as Plane
+from softrod_jax.scene.contacts import Sphere as Sphere
+from softrod_jax.scene.contacts import Tube as Tube
 from softrod_jax.scene.file import SceneError as SceneError
 from softrod_jax.scene.file import load_scene as load_scene
 from softrod_jax.scene.file import save_scene as save_scene

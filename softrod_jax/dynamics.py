@@ -24,6 +24,7 @@ from softrod_jax.rod.reduction import clamp_pose, make_rod
 from softrod_jax.rod.rotations import to_base
 from softrod_jax.rod.validity import usable_in_time
 from softrod_jax.scene.checks import checked_scene
+from softrod_jax.scene.contacts import contact_names
 from softrod_jax.scene.inputs import (
     Inputs,
     after_play_in_time,
@@ -60,6 +61,8 @@ class Trajectory(eqx.Module):
     - `tensions` [N], (steps + 1, tendons): of all tendons, at the end where their actuator is.
     - `markers`: by name, "tip" among them, a `Track` with `positions` [m], (steps + 1, 3), and
       `quaternions`, (steps + 1, 4).
+    - `contact_forces`: by the name of each contact, the force [N], (steps + 1, 3), with which its
+      obstacle pushes the rod, base frame.
     - `result`: a code of `RESULTS`; 0 is success. `failed_step`: the first step k that has no
       solution, or -1; from there on the rod is held where it was. Where steps are too long for the
       motion (`inaccurate`, and "time_error" above its limit), the first whose error is too large;
@@ -82,6 +85,7 @@ class Trajectory(eqx.Module):
     arc_lengths: Float[Array, "outputs"]
     tensions: Float[Array, "times tendons"]
     markers: dict[str, Track]
+    contact_forces: dict[str, Float[Array, "times 3"]]
     result: Int[Array, ""]
     failed_step: Int[Array, ""]
     stats: dict
@@ -218,7 +222,15 @@ def beginning_in(initial: StaticSolution, scene: Scene) -> Beginning:
     by_length = driven_by_length(scene.tendons)
     found = initial.tensions[jnp.array(by_length)] if by_length else None
     pulls, slid = initial.pulls if by_length else None, initial.reached.slid
-    return Beginning(initial.point_strains, initial.result, found, Inputs(pulls=pulls), slid)
+    pushes = None
+    if scene.contacts is not None:
+        pushes = jnp.stack([initial.contact_force[x] for x in contact_names(scene.contacts)])
+    now = Inputs(pulls=pulls)
+    return Beginning(initial.point_strains, initial.result, found, now, slid, pushes)
+
+
+def _by_name(scene: Scene, pushes: Float[Array, "times contacts 3"]):
+    return dict(zip(contact_names(scene.contacts), jnp.swapaxes(pushes, 0, 1), strict=True))
 
 
 def _from_start(inputs: Inputs, begin: Beginning | None):
@@ -236,7 +248,7 @@ def _simulate(scene, dt, inputs, begin, steps, substeps, scheme, method, options
     first = jax.tree.map(lambda x: x[0], inputs)
     inputs = after_play_in_time(scene, inputs, None if begin is None else begin.inputs.pulls)
     stepping = stepping_of(scene, dt, first, substeps, scheme, method, options)
-    strains, velocities, results, found, stats = march(stepping, inputs, begin, steps, good)
+    strains, velocities, results, found, stats, pushes = march(stepping, inputs, begin, steps, good)
     base, h_base = clamp_pose(scene)
     grid = method.grid(scene)
     positions, quaternions = jax.vmap(lambda strain: method.shape(strain, grid, base, h_base))(
@@ -267,6 +279,7 @@ def _simulate(scene, dt, inputs, begin, steps, substeps, scheme, method, options
             arc_lengths=nodes,
             tensions=tensions_of(scene, _from_start(inputs, begin), found, (steps + 1,)),
             markers={name: Track(x.position, x.quaternion) for name, x in poses.items()},
+            contact_forces={} if pushes is None else _by_name(scene, pushes),
             result=result,
             failed_step=jnp.where(jnp.any(failed), jnp.argmax(failed), -1),
             stats={**stats, "time_error": error, "needed_substeps": needed.astype(jnp.int32)},

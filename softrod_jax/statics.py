@@ -33,11 +33,12 @@ from softrod_jax.rod.constants import full_strain, inner_strain
 from softrod_jax.rod.friction import tensions_along
 from softrod_jax.rod.given_lengths import path_shortening, tensions_of
 from softrod_jax.rod.markers import seen
-from softrod_jax.rod.ode import layout_of, slid_after
+from softrod_jax.rod.ode import contact_forces, layout_of, slid_after
 from softrod_jax.rod.reduction import clamp_pose, make_rod, where_active
 from softrod_jax.rod.shape import Pose, pose_between
 from softrod_jax.rod.validity import usable
 from softrod_jax.scene.checks import checked_scene
+from softrod_jax.scene.contacts import contact_names
 from softrod_jax.scene.inputs import (
     Inputs,
     after_play,
@@ -65,6 +66,8 @@ class StaticSolution(eqx.Module):
       where a tendon is not.
     - `pulls` [m]: those that tendons have followed, behind the play of their actuators.
     - `markers`: by name, "tip" among them, a `Pose` (`position` [m], (3,), `quaternion`, (4,)).
+    - `contact_force`: by the name of each contact, the force [N], (3,), with which its obstacle
+      pushes the rod, base frame.
     - `result`: a code of `RESULTS`; 0 is success. Else the numbers are the last iterate.
     - `stats`: "iterations", "residual" (Newton's last correction, relative to the size of the
       state), "load_steps" (1: reached at once; more: by continuation in the load), "stable"
@@ -85,6 +88,7 @@ class StaticSolution(eqx.Module):
     tensions_along: Float[Array, "outputs tendons"]
     pulls: Float[Array, "by_length"]
     markers: dict[str, Pose]
+    contact_force: dict[str, Float[Array, "3"]]
     result: Int[Array, ""]
     stats: dict
     point_strains: Float[Array, "points 6"]
@@ -261,6 +265,9 @@ def _solution(scene, inputs, rod, method, solved, valid, transient_steps):
         tensions_along=method.outputs(_along(scene, rod, layout, tensions, fields.y)),
         pulls=jnp.zeros(0) if inputs.pulls is None else jnp.asarray(inputs.pulls),
         markers=seen(scene, method.inside(strain), nodes, positions, quaternions),
+        contact_force=dict(
+            zip(contact_names(scene.contacts), contact_forces(fields.y, rod, layout), strict=True)
+        ),
         result=result,
         stats={
             "iterations": solved.found.iterations,

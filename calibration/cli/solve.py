@@ -45,6 +45,9 @@ def run(args) -> int:
             "tip_quaternion": sol.tip_quaternion.tolist() if succeeded else None,
             "tensions": sol.tensions.tolist() if succeeded else None,
             "markers": {name: _pose(sol.markers[name], succeeded) for name in names},
+            "contact_force": {
+                name: x.tolist() if succeeded else None for name, x in sol.contact_force.items()
+            },
             "stable": stable if succeeded else None,
             "error": float(sol.stats["error"]),
             "intervals": sol.method.intervals,

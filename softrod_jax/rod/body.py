@@ -17,6 +17,7 @@ from softrod_jax.rod.relaxation import Relaxation
 from softrod_jax.scene.acting import AbstractEnergy
 from softrod_jax.scene.materials import AbstractRubber
 from softrod_jax.scene.scene import Scene
+from softrod_jax.scene.sections import Annulus, Circle
 from softrod_jax.scene.segments import Segment
 
 # Of what calls have looked for, before they come here.
@@ -61,6 +62,23 @@ def body_along(scene: Scene, grid: Grid) -> Body:
     fibres = _fibres_along([body.fibres for body in bodies], number)
     relaxation = _relaxation_along([body.relaxation for body in bodies], number)
     return Body(**chosen, fibres=fibres, relaxation=relaxation)
+
+
+def radius_along(scene: Scene, grid: Grid) -> Array:
+    """That of round sections [m]; one for each point where it varies."""
+    segments, start, radii = scene.parts, 0.0, []
+    for segment in segments:
+        x = jnp.clip((grid.s - start) / segment.length, 0.0, 1.0)
+        section, end = segment.section, segment.section_at_end
+        assert isinstance(section, Circle | Annulus), INCOMPLETE
+        radii.append(jnp.asarray(section.outline_radius))
+        if isinstance(end, Circle | Annulus):
+            radii[-1] = (1 - x) * radii[-1] + x * end.outline_radius
+        start = start + segment.length
+    if len(segments) == 1:
+        return radii[0]
+    columns = [jnp.reshape(x, (-1, 1)) for x in radii]
+    return _chosen(columns, _segment_of_points(scene, grid))[:, 0]
 
 
 # From what segments may share it follows; those of sections and materials differ.

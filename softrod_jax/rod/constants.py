@@ -59,6 +59,7 @@ class Rod(eqx.Module):
       two times `load_factor`.
     - `constraint`: conditions on the whole rod, whose multipliers act on it. `friction`: of
       tendons in their channels; `tau` is then what acts at their actuators.
+    - `radius`* [m]: of the sections, or None where nothing touches the rod.
     - `h_base`: quaternion of the clamp, (4,). `p_base` [m], (3,): its position, or None where no
       load depends on the position.
 
@@ -99,6 +100,7 @@ class Rod(eqx.Module):
     constraint: AbstractConstraint | None = None
     friction: Friction | None = None
     s: Float[Array, "points"] | None = None
+    radius: Float[Array, "..."] | None = None
     plane: str | None = eqx.field(static=True, default=None)
 
     @property
@@ -219,7 +221,7 @@ _AXES = {
     **dict.fromkeys(("r", "r_s"), 2),
     **{"relaxation.parts": 1, "relaxation.times": 1},
     **{"fibres.constants": 1, "fibres.disks": 2, "fibres.boxes": 2},
-    "s": 0,
+    **{"s": 0, "radius": 0},
 }
 
 

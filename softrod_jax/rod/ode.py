@@ -38,6 +38,7 @@ from jaxtyping import Array, Bool, Float
 from softrod_jax.foundation.products import product
 from softrod_jax.rod.constants import Rod
 from softrod_jax.rod.constitutive import compliance, imbalance, local_problem, recover_strain
+from softrod_jax.rod.contact import ContactForce, force_on_rod
 from softrod_jax.rod.friction import Slid, by_each_point
 from softrod_jax.rod.relaxation import Crept
 from softrod_jax.rod.rotations import cross, hat, hats, to_base, to_body
@@ -422,19 +423,46 @@ def distributed(base_part, rod: Rod, layout: Layout, of=lambda f: f, shape="(i)"
     loads, factor = rod.distributed_loads or (), rod.load_factor
     assert loads and factor is not None, "a rod with such loads"
 
-    def at_point(base_part, s):
-        h, q, w, _, _ = layout.split(jnp.concatenate([base_part, jnp.zeros(layout.pair)]))
-        still = jnp.zeros(layout.pair)
-        moving = jnp.concatenate([q, w]) if layout.dynamic else still
-        moving = in_space(moving, rod.plane)
-        p = _position_in_space(base_part, rod, layout) if layout.position else None
-        here = Here(s, quaternion_in(rod.plane, h), moving[:3], moving[3:], p)
+    def at_point(base_part, *numbers):
+        here = _here(base_part, rod, layout, *numbers)
         wrenches = [load.wrench(here) for load in loads]
         f, l = (sum(parts, jnp.zeros(3)) for parts in zip(*wrenches))
         applied = jnp.concatenate([vector_in(rod.plane, f), turn_in(rod.plane, l)])
         return factor * applied
 
-    return jnp.vectorize(of(at_point), signature=f"(n),()->{shape}")(base_part, rod.s)
+    return _at_points(of(at_point), shape, base_part, rod)
+
+
+def contact_forces(y: Points, rod: Rod, layout: Layout) -> Float[Array, "contacts 3"]:
+    """The force of each obstacle on the whole rod [N], base frame."""
+    contacts = [x for x in rod.distributed_loads or () if isinstance(x, ContactForce)]
+    if not contacts:
+        return jnp.zeros((0, 3))
+    factor = rod.load_factor
+    assert factor is not None, "a rod with such loads"
+
+    def at_point(base_part, *numbers):
+        here = _here(base_part, rod, layout, *numbers)
+        return jnp.stack([force_on_rod(contact, here) for contact in contacts])
+
+    f = _at_points(at_point, "(i,k)", y[..., : layout.base_size], rod)
+    return factor * jnp.einsum("n,nik->ik", rod.grid.weights, f)
+
+
+def _at_points(function, shape, base_part, rod: Rod):
+    """Of each point: its state's components from the base, and what varies along the rod."""
+    numbers = [x for x in (rod.s, rod.radius) if x is not None]
+    signature = f"(n){',()' * len(numbers)}->{shape}"
+    return jnp.vectorize(function, signature=signature)(base_part, *numbers)
+
+
+def _here(base_part, rod: Rod, layout: Layout, s, radius=None) -> Here:
+    h, q, w, _, _ = layout.split(jnp.concatenate([base_part, jnp.zeros(layout.pair)]))
+    still = jnp.zeros(layout.pair)
+    moving = jnp.concatenate([q, w]) if layout.dynamic else still
+    moving = in_space(moving, rod.plane)
+    p = _position_in_space(base_part, rod, layout) if layout.position else None
+    return Here(s, quaternion_in(rod.plane, h), moving[:3], moving[3:], p, radius)
 
 
 def _position_in_space(base_part, rod, layout):

@@ -7,8 +7,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool
 
-from softrod_jax.rod.body import INCOMPLETE, body_along
+from softrod_jax.rod.body import INCOMPLETE, body_along, radius_along
 from softrod_jax.rod.constants import PointLoad, Rod
+from softrod_jax.rod.contact import ContactForce
 from softrod_jax.rod.energies import Part
 from softrod_jax.rod.friction import STICK, Friction, unslid
 from softrod_jax.rod.given_lengths import given_lengths, per_unit
@@ -61,7 +62,8 @@ def make_rod(
     if not no_tendons and spread_fronts and body.K_se is not None:
         front = _FRONT_VISCOSITY * grid.widest**2 * body.rho_A / body.K_se[..., 2:]
     gravity, load = vector_in(plane, scene.gravity), scene.tip_load
-    one, own = jnp.ones(()), (scene.energies, scene.distributed_loads)
+    loads = _distributed_loads(scene)
+    one, own = jnp.ones(()), (scene.energies, loads)
     material = scene.material if isinstance(scene.material, AbstractEnergy) else None
     fibres, relaxation = body.fibres, body.relaxation
     if relaxation is not None and fibres is not None:
@@ -78,7 +80,7 @@ def make_rod(
         rho_A=body.rho_A,
         rho_J=about_normal(plane, body.rho_J),
         h_base=clamp_pose(scene)[1],
-        p_base=clamp_pose(scene)[0] if _position_matters(scene) else None,
+        p_base=clamp_pose(scene)[0] if any(x.needs_position for x in loads or ()) else None,
         B_se=moving(vector_in(plane, body.B_se)) if stretches else None,
         B_bt=moving(about_normal(plane, body.B_bt)),
         C=moving(vector_in(plane, body.C)),
@@ -99,9 +101,10 @@ def make_rod(
         relaxation=body.relaxation,
         material=material,
         energies=scene.energies,
-        distributed_loads=scene.distributed_loads,
-        load_factor=None if scene.energies is None and scene.distributed_loads is None else one,
+        distributed_loads=loads,
+        load_factor=None if own == (None, None) else one,
         s=None if all(x is None for x in (material, *own)) else grid.s,
+        radius=None if scene.contacts is None else radius_along(scene, grid),
         plane=plane,
     )
     rod = rod if dynamic else rod.relaxed
@@ -119,8 +122,10 @@ def make_rod(
     return eqx.tree_at(lambda r: r.h_base, rod, angle)
 
 
-def _position_matters(scene: Scene) -> bool:
-    return any(load.needs_position for load in scene.distributed_loads or ())
+def _distributed_loads(scene: Scene):
+    """Those of users, and what obstacles do."""
+    contacts = map(ContactForce, scene.contacts or ())
+    return (*(scene.distributed_loads or ()), *contacts) or None
 
 
 def a_few_points(scene: Scene) -> Grid:

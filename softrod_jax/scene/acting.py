@@ -33,6 +33,7 @@ class Here(NamedTuple):
     - `s` [m]; `quaternion` (w, x, y, z): the attitude of the section, body to base.
     - `position` [m], (3,), base frame; `None` where no load of the scene says `needs_position`.
     - `velocity` [m/s] and `angular_velocity` [rad/s], (3,) each, body frame; zero in statics.
+    - `radius` [m]: of the section; `None` where the scene has no contacts.
     """
 
     s: Scalar
@@ -40,6 +41,7 @@ class Here(NamedTuple):
     velocity: Float[Array, "3"]
     angular_velocity: Float[Array, "3"]
     position: Float[Array, "3"] | None = None
+    radius: Scalar | None = None
 
 
 class AbstractDistributedLoad(eqx.Module):

@@ -170,6 +170,8 @@ def _owners(module: eqx.Module, prefix: str) -> Iterator[tuple[str, eqx.Module]]
 
 # Tables of a scene file that are within that of the rod.
 _OF_THE_ROD = ("section", "section_at_end", "stiffness", "material")
+# Parts whose keys a scene file has among those of the table that they are in.
+_AMONG_OTHERS = ("obstacle",)
 
 
 def _fields(module: eqx.Module, prefix: str) -> Iterator[tuple[str, Number, Any]]:
@@ -183,6 +185,7 @@ def _fields(module: eqx.Module, prefix: str) -> Iterator[tuple[str, Number, Any]
         number = ranges.get(name, ANY)
         within = whole and name not in _OF_THE_ROD and name not in ranges
         key = name if within else f"{prefix}.{name}"
+        key = prefix if name in _AMONG_OTHERS else key
         if number.each or _is_row(value):
             for i, item in enumerate(value):
                 one = f"{prefix}[{i}].{singular(name)}"

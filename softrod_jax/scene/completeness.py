@@ -11,10 +11,11 @@ from typing import Any
 import numpy as np
 
 from softrod_jax.scene.acting import AbstractEnergy
+from softrod_jax.scene.contacts import contact_names
 from softrod_jax.scene.materials import AbstractRubber
 from softrod_jax.scene.ranges import numbers_of
 from softrod_jax.scene.scene import Scene
-from softrod_jax.scene.sections import Circle, GeneralSection
+from softrod_jax.scene.sections import Annulus, Circle, GeneralSection
 from softrod_jax.scene.segments import Segment, Stiffness
 from softrod_jax.scene.tendons import Tendons
 
@@ -43,6 +44,7 @@ def incomplete(scene: Scene) -> Iterator[Breach]:
     yield from _material(scene)
     yield from _relaxation(scene)
     yield from _names(scene)
+    yield from _touched(scene)
     yield from _tendons(scene)
 
 
@@ -157,18 +159,32 @@ def _relaxation(scene: Scene) -> Iterator[Breach]:
                 yield f"segments[{i}].relaxation", _shown(segment, "relaxation"), remedy
 
 
+def _touched(scene: Scene) -> Iterator[Breach]:
+    """Sections of a rod that obstacles touch."""
+    owners = [("rod", scene)] + [(f"segments[{i}]", x) for i, x in enumerate(scene.segments or ())]
+    for key, owner in owners if scene.contacts else ():
+        if owner.section is not None and not isinstance(owner.section, Circle | Annulus):
+            name = type(owner.section).__name__
+            remedy = (
+                "in contact the rod's surface is round; expected Circle or Annulus, or no contacts"
+            )
+            yield f"{key}.section", name, remedy
+
+
 def _names(scene: Scene) -> Iterator[Breach]:
-    """Names of markers, by which logs have columns."""
-    seen = set()
-    for i, marker in enumerate(scene.markers or ()):
-        key, name = f"markers[{i}].name", marker.name
+    """Names of markers and obstacles, by which logs have columns."""
+    seen: dict[str, str] = {}
+    named = [(f"markers[{i}].name", x.name) for i, x in enumerate(scene.markers or ())]
+    given = enumerate(contact_names(scene.contacts))
+    for key, name in named + [(f"contacts[{i}].name", x) for i, x in given]:
         if not isinstance(name, str) or not _NAME.fullmatch(name):
             yield key, name, "expected letters, digits and _, the first a letter"
         elif name in _TAKEN:
             yield key, name, "this name is taken; choose another"
         elif name in seen:
-            yield key, name, "another marker has this name; each needs one of its own"
-        seen.add(name)
+            one = "another" if key.startswith(seen[name]) else "a"
+            yield key, name, f"{one} {seen[name]} has this name; each needs one of its own"
+        seen[name] = "marker" if key.startswith("marker") else "contact"
 
 
 def _shown(owner, name: str):

@@ -17,6 +17,7 @@ import numpy as np
 from jax.core import Tracer
 from jaxtyping import Array, Bool, Float
 
+from softrod_jax.scene.contacts import Plane, Sphere, Tube
 from softrod_jax.scene.materials import AbstractRubber
 from softrod_jax.scene.scene import PLANES, Scene
 from softrod_jax.scene.sections import Circle
@@ -122,6 +123,7 @@ def _parts(scene: Scene) -> list[_Part]:
         *((f"{key}.moment", x.moment, *turn) for key, x in loads),
         *((key, value, *vector) for key, value in _routes(scene)),
         ("chambers", None if chambers is None else chambers.offsets, *vector),
+        *((key, value, *vector) for key, value in _obstacles(scene)),
     ]
     return [_Part(*part) for part in parts if part[1] is not None]
 
@@ -145,6 +147,19 @@ def _routes(scene: Scene):
                     f"tendons[{i}].path",
                     tendons.place(i, start + (end - start) * x, scene.length),
                 )
+
+
+def _obstacles(scene: Scene):
+    """What the obstacles of this package are the same on both sides of, from the clamp on."""
+    base = 0.0 if scene.base_position is None else scene.base_position
+    for i, contact in enumerate(scene.contacts or ()):
+        shape, key = contact.obstacle, f"contacts[{i}]"
+        if isinstance(shape, Plane):
+            yield f"{key}.normal", shape.normal
+        elif isinstance(shape, Sphere):
+            yield f"{key}.center", shape.center - base
+        elif isinstance(shape, Tube):
+            yield f"{key}.axis", shape.axis - base
 
 
 def _off_plane(part: _Part, module) -> Bool[Array | np.ndarray, "*rows"] | np.bool:
@@ -198,7 +213,7 @@ def misfits(scene: Scene) -> Iterator[tuple[str, object, str]]:
             continue
         value = np.asarray(part.value)
         rows = np.atleast_1d(np.argwhere(_off_plane(part._replace(value=value), np)))
-        of_each = value.ndim > 1 and not part.key.endswith(".path")
+        of_each = value.ndim > 1 and not part.key.endswith((".path", ".axis"))
         for row in rows if of_each else rows[:1]:
             yield (
                 f"{part.key}[{row[-1]}].offset" if of_each else part.key,

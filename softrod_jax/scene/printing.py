@@ -21,7 +21,7 @@ _USUAL = {"guided": "rod", "control": "tension", "frame": "base", "inextensible"
 # Tables beside that of the rod.
 _OTHERS = (
     *("segments", "tendons", "chambers", "payload", "tip_load"),
-    *("loads", "masses", "markers", "energies", "distributed_loads"),
+    *("loads", "masses", "markers", "energies", "distributed_loads", "contacts"),
 )
 
 

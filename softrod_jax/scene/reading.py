@@ -11,6 +11,7 @@ import numpy as np
 from softrod_jax.scene import schema
 from softrod_jax.scene.chambers import Chambers
 from softrod_jax.scene.checks import impossible
+from softrod_jax.scene.contacts import Contact
 from softrod_jax.scene.loads import Load, Marker, Mass, Payload, TipLoad
 from softrod_jax.scene.planes import misfits
 from softrod_jax.scene.scene import Scene, as_arrays
@@ -53,6 +54,7 @@ def scene_of(document: dict, file: str) -> Scene:
             markers=[
                 Marker(**read_table(x, schema.MARKER, w)) for x, w in _each(top, "markers", file)
             ],
+            contacts=[_contact(*entry) for entry in _each(top, "contacts", file)],
         )
     )
     for key, value, remedy in (*impossible(scene), *misfits(scene)):
@@ -189,6 +191,22 @@ def _load(table: dict, where: str) -> Load:
         expected = f"expected {schema.LOAD['force']}, or a moment"
         raise SceneError(complaint(f"{where}.force", None, expected))
     return Load(**values)
+
+
+def _contact(table: dict, where: str) -> Contact:
+    kinds = {
+        word: (
+            lambda kind=kind, own=own, **values: _of_obstacle(kind, own, values),
+            {**own, **schema.CONTACT},
+        )
+        for word, (kind, own) in schema.OBSTACLES.items()
+    }
+    return _of_shape(table, schema.OBSTACLE, kinds, where)
+
+
+def _of_obstacle(kind, own: schema.Schema, values: dict) -> Contact:
+    obstacle = kind(**{key: values.pop(key) for key in own})
+    return Contact(obstacle, **values)
 
 
 def _without_nothing(scene: Scene) -> Scene:

@@ -23,6 +23,7 @@ from softrod_jax.foundation.numbers import (
 )
 from softrod_jax.scene.acting import AbstractDistributedLoad, AbstractEnergy
 from softrod_jax.scene.chambers import Chambers
+from softrod_jax.scene.contacts import Contact
 from softrod_jax.scene.loads import DEAD_LOAD, Load, Marker, Mass, Payload, TipLoad
 from softrod_jax.scene.materials import AbstractRubber
 from softrod_jax.scene.printing import described
@@ -55,6 +56,7 @@ class Scene(eqx.Module):
     - `material` instead of the moduli: `NeoHookean` or `MooneyRivlin` for rubber and silicone, or a
       law of one's own, see `AbstractEnergy`. `energies` and `distributed_loads`: whatever else
       acts, see `AbstractEnergy` and `AbstractDistributedLoad`.
+    - `contacts`: obstacles that the rod may touch, whose sections must then be round.
     - `stiffness` instead of the moduli and `linear_density` [kg/m] instead of the density.
     - `bending_damping` B_bt [N m^2 s] and `shear_damping` B_se [N s]: Kelvin-Voigt, a number
       or (3,) for x, y, z of the body frame.
@@ -113,6 +115,7 @@ class Scene(eqx.Module):
     relaxation: Maybe[RowsLike] = number(**RELAXATION)
     energies: Sequence[AbstractEnergy] | None = None
     distributed_loads: Sequence[AbstractDistributedLoad] | None = None
+    contacts: Sequence[Contact] | None = None
     inextensible: bool = eqx.field(static=True, default=False)
     plane: str | None = eqx.field(static=True, default=None)
 
@@ -120,7 +123,7 @@ class Scene(eqx.Module):
         if self.segments is not None:
             self.segments = tuple(self.segments)
             self.length = total_length(self.segments)
-        for name in ("loads", "masses", "markers", "energies", "distributed_loads"):
+        for name in ("loads", "masses", "markers", "energies", "distributed_loads", "contacts"):
             parts = getattr(self, name)
             setattr(self, name, tuple(parts) if parts else None)
 

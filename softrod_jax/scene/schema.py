@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from softrod_jax.scene.chambers import Chambers
+from softrod_jax.scene.contacts import AbstractObstacle, Contact, Plane, Sphere, Tube
 from softrod_jax.scene.loads import FRAMES, Load, Marker, Mass, Payload, TipLoad
 from softrod_jax.scene.materials import MooneyRivlin, NeoHookean
 from softrod_jax.scene.ranges import Number, is_required, numbers_of
@@ -189,6 +190,7 @@ SCENE: Schema = {
     "loads": Tables(),
     "masses": Tables(),
     "markers": Tables(),
+    "contacts": Tables(),
 }
 
 # A length and a section, or segments instead: that is checked with the scene as a whole.
@@ -254,6 +256,13 @@ CHAMBER = _numbers_of(Chambers)
 LOAD: Schema = {**_numbers_of(Load), "frame": Word(FRAMES)}
 MASS = _numbers_of(Mass)
 MARKER: Schema = {"name": Text(required=True), **_numbers_of(Marker)}
+CONTACT: Schema = {"name": Text(), **_numbers_of(Contact)}
+# The keys of an obstacle stand beside those of the contact with it.
+OBSTACLES: dict[str, tuple[type[AbstractObstacle], Schema]] = {
+    name: (kind, _numbers_of(kind))
+    for name, kind in (("plane", Plane), ("sphere", Sphere), ("tube", Tube))
+}
+OBSTACLE = Word(tuple(OBSTACLES), required=True)
 PAYLOAD, TIP_LOAD = _numbers_of(Payload), _numbers_of(TipLoad)
 
 

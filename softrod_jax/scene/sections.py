@@ -7,7 +7,9 @@ Every section offers
 - `second_moments` [m^4]: (Ixx, Iyy), about the x and the y axis,
 - `torsion_constant` [m^4]: `G * torsion_constant` is the torsional stiffness. It equals
   Ixx + Iyy for round sections only,
-- `contains(offset)`: whether a point of the section plane lies inside.
+- `contains(offset)`: whether a point of the section plane lies inside,
+
+and round ones the `outline_radius` [m].
 
 What numbers a section can have it says where they are declared, and in `relations` what must hold
 between them.
@@ -65,6 +67,10 @@ class Circle(eqx.Module):
         return solid - self._hole_areas @ (a**2 / 2 + 2 * (x**2 + y**2))
 
     @property
+    def outline_radius(self) -> ScalarLike:
+        return self.radius
+
+    @property
     def _hole_areas(self) -> Float[Array, "holes"]:
         assert self.holes is not None, "a circle with holes"
         return jnp.pi * self.holes[:, 2] ** 2
@@ -109,6 +115,10 @@ class Annulus(eqx.Module):
     @property
     def torsion_constant(self) -> ScalarLike:
         return jnp.pi * (self.outer_radius**4 - self.inner_radius**4) / 2
+
+    @property
+    def outline_radius(self) -> ScalarLike:
+        return self.outer_radius
 
     def relations(self):
         """What must hold between the numbers: a field, whether it does, and what is expected."""

@@ -11,6 +11,7 @@ from softrod_jax.scene.tendons import Tendons
 
 _SECTIONS = {kind: shape for shape, (kind, _) in schema.SECTIONS.items()}
 _LAWS = {kind: law for law, (kind, _) in schema.LAWS.items()}
+_OBSTACLES = {kind: shape for shape, (kind, _) in schema.OBSTACLES.items()}
 _PATHS = {kind: shape for shape, (kind, _) in schema.PATHS.items()}
 
 
@@ -53,6 +54,13 @@ def document_of(scene: Scene, file: str) -> dict:
             table["frame"] = load.frame
     for i, marker in enumerate(scene.markers or ()):
         document["markers"][i] = {"name": marker.name, **document["markers"][i]}
+    if scene.contacts is not None:
+        document["contacts"] = [
+            ({} if x.name is None else {"name": x.name})
+            | _with_shape(x.obstacle, _OBSTACLES, schema.OBSTACLES, f"{file} contacts[{i}]")
+            | _values(x, schema.CONTACT)
+            for i, x in enumerate(scene.contacts)
+        ]
     return document
 
 

@@ -34,6 +34,7 @@ class March(NamedTuple):
     results: Int[Array, "steps"]
     multipliers: Float[Array, "steps conditions"] | None
     stats: dict
+    pushes: Float[Array, "steps contacts 3"] | None = None
 
 
 class Stepping(NamedTuple):
@@ -83,6 +84,7 @@ class Stepping(NamedTuple):
             jnp.where(coarse, RESULTS.inaccurate, result).astype(jnp.int32),
             progress.multipliers,
             stats,
+            progress.pushes,
         )
 
 
@@ -126,5 +128,8 @@ def march(stepping: Stepping, inputs: Inputs, begin: Beginning | None, steps: in
     rod, multipliers, at_first = moving.rod, seen.multipliers, start.progress.multipliers
     if multipliers is not None and at_first is not None:
         multipliers = jnp.concatenate([at_first[None], multipliers])
+    pushes, unpushed = seen.pushes, start.progress.pushes
+    if pushes is not None and unpushed is not None:
+        pushes = jnp.concatenate([unpushed[None], pushes])
     strains, velocities = full_strain(strains, rod), in_space(velocities, rod.plane)
-    return March(strains, velocities, results, multipliers, seen.stats)
+    return March(strains, velocities, results, multipliers, seen.stats, pushes)

@@ -22,7 +22,7 @@ from softrod_jax.foundation.results import RESULTS
 from softrod_jax.rod.constants import Rod, fastest_wave, inner_strain
 from softrod_jax.rod.friction import Slid
 from softrod_jax.rod.grid import Grid
-from softrod_jax.rod.ode import History, Layout, layout_of, slid_after
+from softrod_jax.rod.ode import History, Layout, contact_forces, layout_of, slid_after
 from softrod_jax.rod.reduction import make_rod
 from softrod_jax.rod.relaxation import Crept
 from softrod_jax.scene.inputs import Inputs, good_inputs, zero_unless
@@ -54,7 +54,7 @@ class Fields(NamedTuple):
 class Beginning(NamedTuple):
     """The equilibrium in which a motion begins, its result code and, where they are known, inputs.
 
-    `multipliers`: as in `Guess`; `slid`: of tendons with friction.
+    `multipliers`: as in `Guess`; `slid`: of tendons with friction; `pushes` [N]: of obstacles.
     """
 
     strain: Float[Array, "points 6"]
@@ -62,6 +62,7 @@ class Beginning(NamedTuple):
     multipliers: Float[Array, "conditions"] | None = None
     inputs: Inputs = Inputs()
     slid: Slid | None = None
+    pushes: Float[Array, "contacts 3"] | None = None
 
 
 class Progress(NamedTuple):
@@ -75,6 +76,7 @@ class Progress(NamedTuple):
     - `stage`: of the step, on a GPU: all stages have the `factors` of the first. Else `None`.
     - `result`: the code so far. `iterations` and `correction`: in this step.
     - `error`: estimated, along the rod; `time_error`: estimated, of the tip so far, in lengths.
+    - `pushes` [N]: the force of each obstacle on the rod, with its derivative; `None` without any.
     - `part`: the length of the next substep, in steps, where errors choose it.
     """
 
@@ -94,6 +96,7 @@ class Progress(NamedTuple):
     part: Float[Array, ""]
     time_error: Float[Array, ""]
     crept: Crept | None = None
+    pushes: Float[Array, "contacts 3"] | None = None
 
 
 class State(NamedTuple):
@@ -175,8 +178,15 @@ class MovingRod(NamedTuple):
             part=jnp.ones(()),
             time_error=none,
             crept=jax.lax.stop_gradient(crept),
+            pushes=self._pushed_at_first(begin),
         )
         return State(self.scheme.start(Fields(guess.strain, still, crept), guess), progress)
+
+    def _pushed_at_first(self, begin: Beginning | None):
+        if begin is None or begin.pushes is None:
+            return pushes_on(self.rod, self.layout, self.unloaded.y)
+        good = jnp.all(jnp.isfinite(begin.strain))
+        return jnp.where(good, begin.pushes, 0.0)
 
     def _slid_at_first(self, begin: Beginning | None) -> Slid | None:
         if self.rod.friction is None:
@@ -240,6 +250,7 @@ class MovingRod(NamedTuple):
             history=jax.lax.stop_gradient(slowed),
             crept=jax.lax.stop_gradient(crept),
             stage=None if progress.stage is None else progress.stage + 1,
+            pushes=pushes_on(rod, self.layout, fields.y),
         )
         return Fields(fields.strain, jnp.concatenate([q, w], -1), crept), progress
 
@@ -270,9 +281,24 @@ class MovingRod(NamedTuple):
         unless_failed = lambda new, old: jax.tree.map(lambda a, b: jnp.where(ok, a, b), new, old)
         memory = unless_failed(new_memory, jax.lax.stop_gradient(memory))
         after = after._replace(time_error=time_error)
-        last = ("guess", "multipliers", "slid", "loads", "rate", "history", "time_error", "crept")
+        last = (
+            "guess",
+            "multipliers",
+            "slid",
+            "loads",
+            "rate",
+            "history",
+            "time_error",
+            "crept",
+            "pushes",
+        )
         pick = lambda progress: {name: getattr(progress, name) for name in last}
         return State(memory, after._replace(**unless_failed(pick(after), pick(progress)))), errors
+
+
+def pushes_on(rod: Rod, layout: Layout, y) -> Float[Array, "contacts 3"] | None:
+    """The force of each obstacle on the rod [N]; `None` without any."""
+    return None if rod.radius is None else contact_forces(y, rod, layout)
 
 
 def moving_rod(

@@ -59,6 +59,7 @@ def asked(monkeypatch):
             tip_quaternion=tip.quaternion,
             tensions=np.zeros(0 if scene.tendons is None else scene.tendons.count),
             markers={"tip": tip},
+            contact_force={},
             stats=stats,
             method=method,
         )

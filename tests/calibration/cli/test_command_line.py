@@ -36,6 +36,7 @@ def test_solve(capsys):
         "tip_quaternion",
         "tensions",
         "markers",
+        "contact_force",
         "stable",
         "error",
         "intervals",
