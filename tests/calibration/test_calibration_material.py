@@ -1,6 +1,7 @@
 """Constants of materials as parameters of motions: relaxation, rubber, segments of their own."""
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 from beams import FIT, NOISE, TRUTH, beam, release
@@ -104,3 +105,10 @@ def test_silicones_are_within_their_ranges():
         assert low < float(law.young_modulus) < high, name
         low, high = MATERIALS[name].density
         assert low < density < high, name
+
+
+def test_the_page_has_the_numbers_of_the_package():
+    page = (Path(__file__).parents[2] / "docs" / "pages" / "materials.md").read_text("utf-8")
+    for name, (law, density) in SILICONES.items():
+        row = f"| `{name}` | {law.mu / 1e3:.1f} | {law.young_modulus / 1e3:.1f} | {density:.0f} |"
+        assert row in page
