@@ -148,3 +148,18 @@ def test_linear_deflection_of_a_segmented_rod(wrong_types):
     assert known["tendon_offset"].allowed(type("S", (), {"scene": both}))
     far = sr.Scene(segments=segments, **{**parts, "tendons": sr.Tendons([[7e-3, 0.0]])})
     assert not known["tendon_offset"].allowed(type("S", (), {"scene": far}))
+
+
+def test_the_force_of_an_obstacle(capsys):
+    """A soft wall that reaches the thick segment only: stiffness times depth times its length."""
+    wall = '[[contacts]]\nname = "wall"\nshape = "plane"\npoint = [-4.9e-3, 0.0, 0.0]\n'
+    wall += "normal = [1.0, 0.0, 0.0]\nstiffness = 1e-2\n"
+    ball = (
+        '[[contacts]]\nshape = "sphere"\ncenter = [1.0, 0.0, 0.0]\nradius = 0.5\nstiffness = 1.0\n'
+    )
+    Path("touched.toml").write_text(LOADED.replace("1e-4, 0.0", "0.0, 0.0") + wall + ball)
+    status, out, _ = run(capsys, "solve", "touched.toml")
+    forces = json.loads(out)["contact_force"]
+    assert status == 0 and set(forces) == {"wall", "contact2"}
+    np.testing.assert_allclose(forces["wall"], [1e-2 * 1e-4 * 0.06, 0, 0], rtol=1e-3, atol=1e-15)
+    assert forces["contact2"] == [0.0, 0.0, 0.0]
