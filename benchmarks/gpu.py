@@ -77,8 +77,9 @@ from softrod_jax.bvp.equations import Equations
 from softrod_jax.bvp.unloaded import unloaded_guess
 from softrod_jax.foundation.compiling import compiler_options, in_lockstep
 from softrod_jax.rod.constitutive import compliance, recover_strain
-from softrod_jax.rod.ode import History, layout_of, pointwise_problem
+from softrod_jax.rod.ode import pointwise_problem
 from softrod_jax.rod.reduction import make_rod
+from softrod_jax.rod.state import History, layout_of
 from softrod_jax.scene.inputs import Inputs
 from softrod_jax.stepping import inertial_continuation
 

@@ -28,8 +28,8 @@ import softrod_jax as sr
 from softrod_jax.bvp.equations import Equations
 from softrod_jax.bvp.unloaded import unloaded_guess
 from softrod_jax.foundation.compiling import compiler_options
-from softrod_jax.rod.ode import History, layout_of
 from softrod_jax.rod.reduction import make_rod
+from softrod_jax.rod.state import History, layout_of
 from softrod_jax.scene.inputs import Inputs
 
 DT, REPEATS = 15e-3, 7

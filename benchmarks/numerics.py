@@ -23,7 +23,7 @@ from softrod_jax.bvp.boundary_value import search_directly
 from softrod_jax.bvp.equations import Equations
 from softrod_jax.bvp.unloaded import unloaded_guess
 from softrod_jax.rod import constants as rod
-from softrod_jax.rod.ode import History, Layout
+from softrod_jax.rod.state import History, Layout
 from softrod_jax.stepping import moving_rod
 
 PAGE = Path(__file__).parents[1] / "docs" / "pages" / "numerics.md"

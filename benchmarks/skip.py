@@ -22,8 +22,8 @@ from report import machine, publish, table
 
 import softrod_jax as sr
 from softrod_jax.bvp.unloaded import unloaded_guess
-from softrod_jax.rod.ode import layout_of
 from softrod_jax.rod.reduction import make_rod
+from softrod_jax.rod.state import layout_of
 from softrod_jax.scene.inputs import Inputs
 from softrod_jax.scene.scene import as_arrays
 

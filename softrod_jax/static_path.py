@@ -21,8 +21,8 @@ from softrod_jax.foundation.numbers import ManyLike
 from softrod_jax.foundation.precision import require_float64
 from softrod_jax.foundation.results import RESULTS, raise_unless_successful
 from softrod_jax.foundation.tracing import is_traced
-from softrod_jax.rod.ode import layout_of
 from softrod_jax.rod.reduction import make_rod
+from softrod_jax.rod.state import layout_of
 from softrod_jax.scene.checks import checked_scene
 from softrod_jax.scene.inputs import Inputs, checked_inputs
 from softrod_jax.scene.scene import Scene

@@ -33,9 +33,10 @@ from softrod_jax.rod.constants import full_strain, inner_strain
 from softrod_jax.rod.friction import tensions_along
 from softrod_jax.rod.given_lengths import path_shortening, tensions_of
 from softrod_jax.rod.markers import seen
-from softrod_jax.rod.ode import contact_forces, layout_of, slid_after
+from softrod_jax.rod.ode import contact_forces, slid_after
 from softrod_jax.rod.reduction import clamp_pose, make_rod, where_active
 from softrod_jax.rod.shape import Pose, pose_between
+from softrod_jax.rod.state import layout_of
 from softrod_jax.rod.validity import usable
 from softrod_jax.scene.checks import checked_scene
 from softrod_jax.scene.contacts import contact_names

@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 
 import softrod_jax as sr
-from softrod_jax.rod.ode import layout_of
 from softrod_jax.rod.reduction import make_rod
+from softrod_jax.rod.state import layout_of
 from softrod_jax.scene.scene import as_arrays
 
 KNOWN = json.loads((Path(__file__).parent / "references" / "wider_static.json").read_text("utf-8"))

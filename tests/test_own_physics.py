@@ -13,9 +13,9 @@ import numpy as np
 import pytest
 
 import softrod_jax as sr
-from softrod_jax.rod.ode import layout_of
 from softrod_jax.rod.reduction import make_rod
 from softrod_jax.rod.rotations import to_body
+from softrod_jax.rod.state import layout_of
 from softrod_jax.scene.scene import as_arrays
 from softrod_jax.stepping.scheme import AbstractTimeScheme, LocalErrors, combine
 

@@ -21,7 +21,7 @@ from softrod_jax.foundation.compiling import on_cpu
 from softrod_jax.foundation.results import RESULTS
 from softrod_jax.rod.constants import Rod
 from softrod_jax.rod.constitutive import least_fibre_stretch, shortest_path
-from softrod_jax.rod.ode import History, Layout
+from softrod_jax.rod.state import History, Layout
 
 # Where a solve fails with less than this left of the rod's length anywhere, or of a tendon's path
 # or a fibre, that is why.

@@ -27,8 +27,10 @@ from softrod_jax.rod.boundary_conditions import gap_conditions
 from softrod_jax.rod.constants import Rod, full_strain
 from softrod_jax.rod.constitutive import imbalance, nearby_strain, recover_strain
 from softrod_jax.rod.grid import Division, Grid, divide, divided_grid, uniform_grid
-from softrod_jax.rod.ode import History, Layout, pointwise_problem, rates, rod_ode_jacobian
+from softrod_jax.rod.jacobian import rod_ode_jacobian
+from softrod_jax.rod.ode import pointwise_problem, rates
 from softrod_jax.rod.shape import ORIGIN, integrate_shape
+from softrod_jax.rod.state import History, Layout
 from softrod_jax.scene.scene import Scene
 
 

@@ -19,7 +19,7 @@ from softrod_jax.bvp.method import AbstractMethod, Guess
 from softrod_jax.bvp.newton import NewtonOptions
 from softrod_jax.foundation.results import RESULTS
 from softrod_jax.rod.constants import PointLoad, Rod
-from softrod_jax.rod.ode import History, Layout, layout_of
+from softrod_jax.rod.state import History, Layout, layout_of
 
 # In units of the rod's own time, L^2 sqrt(rho A / EI): the damping B / K and the time step.
 _DAMPING, _STEP = 0.3, 0.1

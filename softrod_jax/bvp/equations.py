@@ -28,7 +28,7 @@ from softrod_jax.bvp.method import AbstractMethod, Guess
 from softrod_jax.foundation.compiling import on_cpu
 from softrod_jax.rod.boundary_conditions import tip_condition
 from softrod_jax.rod.constants import Rod
-from softrod_jax.rod.ode import History, Layout, sizes
+from softrod_jax.rod.state import History, Layout, sizes
 from softrod_jax.scene.planes import vector_in
 
 # Eigenvalues are zero if they are this part of the largest one, or less.

@@ -15,7 +15,7 @@ from jaxtyping import Array, Float
 
 from softrod_jax.rod.constants import Rod
 from softrod_jax.rod.grid import Grid
-from softrod_jax.rod.ode import History, Layout
+from softrod_jax.rod.state import History, Layout
 from softrod_jax.scene.scene import Scene
 
 

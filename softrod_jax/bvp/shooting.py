@@ -21,8 +21,9 @@ from softrod_jax.bvp.grid_error import CAUTION
 from softrod_jax.bvp.method import AbstractMethod, Guess, Linear
 from softrod_jax.rod.constants import Rod, full_strain
 from softrod_jax.rod.grid import Grid, divide, uniform_grid
-from softrod_jax.rod.ode import History, Layout, rod_ode, sizes
+from softrod_jax.rod.ode import rod_ode
 from softrod_jax.rod.shape import BOOLE, ORIGIN, integrate_shape
+from softrod_jax.rod.state import History, Layout, sizes
 from softrod_jax.scene.scene import Scene
 
 # Points of the Lagrange polynomials that interpolate the history.

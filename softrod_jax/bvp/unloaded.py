@@ -5,8 +5,8 @@ import jax.numpy as jnp
 
 from softrod_jax.bvp.method import Guess
 from softrod_jax.rod.constants import Rod
-from softrod_jax.rod.ode import Layout
 from softrod_jax.rod.rotations import quaternion_exp, quaternion_product, to_base
+from softrod_jax.rod.state import Layout
 from softrod_jax.scene.planes import vector_in
 
 

@@ -5,7 +5,7 @@ the time. Written out in components it is one kernel with what stands around it.
 """
 
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Inexact
 
 from softrod_jax.foundation.compiling import on_cpu
 
@@ -26,7 +26,7 @@ def precision() -> str | None:
     return None if on_cpu() else "highest"
 
 
-def weighted_sum(weights, values) -> Float[Array, "*rest"]:
+def weighted_sum(weights, values) -> Inexact[Array, "*rest"]:
     """sum_i weights_i values_i."""
     if on_cpu():
         return jnp.tensordot(weights, values, 1)

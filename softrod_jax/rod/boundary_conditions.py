@@ -7,8 +7,8 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from softrod_jax.rod.constants import PointLoad, Rod
-from softrod_jax.rod.ode import History, Layout
 from softrod_jax.rod.rotations import cross, to_body
+from softrod_jax.rod.state import History, Layout
 
 
 class Wrench(NamedTuple):

@@ -16,8 +16,8 @@ from softrod_jax.bvp.boundary_value import Found, chosen, search_directly
 from softrod_jax.bvp.equations import Equations, Unknowns, loads_of, with_loads
 from softrod_jax.bvp.newton import NewtonOptions, ReusedFactors, newton_with
 from softrod_jax.foundation.results import RESULTS
-from softrod_jax.rod.ode import History
 from softrod_jax.rod.relaxation import Crept
+from softrod_jax.rod.state import History
 
 # The way: up to 1 the part of the step, from there to 2 the part of the change of the loads.
 _GOAL = 2.0

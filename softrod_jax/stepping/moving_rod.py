@@ -22,9 +22,10 @@ from softrod_jax.foundation.results import RESULTS
 from softrod_jax.rod.constants import Rod, fastest_wave, inner_strain
 from softrod_jax.rod.friction import Slid
 from softrod_jax.rod.grid import Grid
-from softrod_jax.rod.ode import History, Layout, contact_forces, layout_of, slid_after
+from softrod_jax.rod.ode import contact_forces, slid_after
 from softrod_jax.rod.reduction import make_rod
 from softrod_jax.rod.relaxation import Crept
+from softrod_jax.rod.state import History, Layout, layout_of
 from softrod_jax.scene.inputs import Inputs, good_inputs, zero_unless
 from softrod_jax.scene.scene import Scene
 from softrod_jax.stepping.inertial_continuation import Before, SharedFactors, search_by_inertia

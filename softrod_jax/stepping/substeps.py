@@ -8,7 +8,7 @@ from jaxtyping import Array, Float, Int
 
 from softrod_jax.foundation.results import RESULTS
 from softrod_jax.rod.grid import Grid
-from softrod_jax.rod.ode import Layout
+from softrod_jax.rod.state import Layout
 from softrod_jax.stepping.moving_rod import Fields, MovingRod, State
 from softrod_jax.stepping.step_inputs import StepInputs
 

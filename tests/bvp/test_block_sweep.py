@@ -12,8 +12,8 @@ import softrod_jax as sr
 from softrod_jax.bvp.block_sweep import factorise, solve_sweeps
 from softrod_jax.bvp.equations import Equations, Unknowns
 from softrod_jax.bvp.unloaded import unloaded_guess
-from softrod_jax.rod.ode import History, layout_of
 from softrod_jax.rod.reduction import make_rod
+from softrod_jax.rod.state import History, layout_of
 from softrod_jax.scene.inputs import Inputs
 from softrod_jax.scene.scene import as_arrays
 

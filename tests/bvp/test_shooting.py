@@ -10,8 +10,9 @@ from scipy.integrate import solve_ivp
 
 import softrod_jax as sr
 from softrod_jax.bvp.shooting import Shooting
-from softrod_jax.rod.ode import History, Layout, rod_ode
+from softrod_jax.rod.ode import rod_ode
 from softrod_jax.rod.reduction import make_rod
+from softrod_jax.rod.state import History, Layout
 from softrod_jax.scene.inputs import Inputs
 from softrod_jax.scene.scene import as_arrays
 

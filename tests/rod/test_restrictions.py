@@ -12,8 +12,10 @@ from test_rod_ode import random_point
 import softrod_jax as sr
 from softrod_jax.rod.constants import full_strain, inner_strain
 from softrod_jax.rod.constitutive import compliance, imbalance, local_problem, recover_strain
-from softrod_jax.rod.ode import History, Layout, layout_of, rod_ode, rod_ode_jacobian
+from softrod_jax.rod.jacobian import rod_ode_jacobian
+from softrod_jax.rod.ode import rod_ode
 from softrod_jax.rod.reduction import make_rod
+from softrod_jax.rod.state import History, Layout, layout_of
 from softrod_jax.scene.inputs import Inputs
 from softrod_jax.scene.planes import in_space, turn_in, vector_in
 from softrod_jax.scene.scene import as_arrays

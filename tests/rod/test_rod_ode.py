@@ -10,15 +10,11 @@ import softrod_jax as sr
 from softrod_jax.rod.boundary_conditions import tip_condition
 from softrod_jax.rod.constitutive import compliance, imbalance, local_problem, recover_strain
 from softrod_jax.rod.grid import uniform_grid
-from softrod_jax.rod.ode import (
-    History,
-    Layout,
-    rod_ode,
-    rod_ode_jacobian,
-    to_body_by_attitude,
-)
+from softrod_jax.rod.jacobian import rod_ode_jacobian, to_body_by_attitude
+from softrod_jax.rod.ode import rod_ode
 from softrod_jax.rod.reduction import make_rod
 from softrod_jax.rod.rotations import hat, quaternion_exp, rotation_matrix, to_body
+from softrod_jax.rod.state import History, Layout
 from softrod_jax.scene.inputs import Inputs
 from softrod_jax.scene.scene import as_arrays
 
