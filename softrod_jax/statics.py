@@ -30,7 +30,6 @@ from softrod_jax.foundation.precision import require_float64
 from softrod_jax.foundation.results import RESULTS, raise_unless_successful, without_derivative
 from softrod_jax.foundation.tracing import is_traced
 from softrod_jax.rod.constants import full_strain, inner_strain
-from softrod_jax.rod.friction import tensions_along
 from softrod_jax.rod.given_lengths import path_shortening, tensions_of
 from softrod_jax.rod.markers import seen
 from softrod_jax.rod.ode import contact_forces, slid_after
@@ -263,7 +262,7 @@ def _solution(scene, inputs, rod, method, solved, valid, transient_steps):
         strains=method.outputs(strain),
         wrenches=in_space(wrench, rod.plane),
         tensions=tensions,
-        tensions_along=method.outputs(_along(scene, rod, layout, tensions, fields.y)),
+        tensions_along=method.outputs(_tensions_along(rod, layout, fields, tensions.shape[0])),
         pulls=jnp.zeros(0) if inputs.pulls is None else jnp.asarray(inputs.pulls),
         markers=seen(scene, method.inside(strain), nodes, positions, quaternions),
         contact_force=dict(
@@ -288,10 +287,11 @@ def _solution(scene, inputs, rod, method, solved, valid, transient_steps):
     return without_derivative(~answered, solution)
 
 
-def _along(scene, rod, layout, tensions, y):
-    """The tensions of all tendons at all points."""
-    if scene.tendons is None:
-        return jnp.zeros((y.shape[0], 0))
-    there = where_active(scene, rod.grid, scene.tendons)
-    losses, _ = layout.losses_and_slips(y)
-    return tensions_along(tensions, rod.friction, there, losses, y.shape[0])
+def _tensions_along(rod, layout, fields, count: int):
+    """The tensions of all tendons at all points: zero where a tendon is not."""
+    points = fields.y.shape[0]
+    rod = rod.under(fields.multipliers)
+    if rod.friction is not None:
+        rod = rod.rubbing(layout.losses_and_slips(fields.y)[0])
+    tau = jnp.zeros(count) if rod.tau is None else rod.tau
+    return jnp.broadcast_to(tau, (points, count))

@@ -218,13 +218,16 @@ def names_in(text: str | None) -> tuple[str, ...]:
     return () if text is None else tuple(x.strip() for x in text.split(","))
 
 
+def pair_in(option: str, text: str, form: str) -> tuple[str, tuple[float, float]]:
+    """NAME=A:B; `form` says what they are, with an example."""
+    name, _, numbers = text.rpartition("=")
+    try:
+        first, second = (float(x) for x in numbers.split(":"))
+    except ValueError:
+        raise UsageError(f"--{option} {text}: expected {form}") from None
+    return name.strip(), (first, second)
+
+
 def bound_in(text: str) -> tuple[str, tuple[float, float]]:
     """NAME=LOW:HIGH."""
-    name, _, range_ = text.rpartition("=")
-    try:
-        low, high = (float(x) for x in range_.split(":"))
-    except ValueError:
-        raise UsageError(
-            f"--bounds {text}: expected NAME=LOW:HIGH, such as young_modulus=1e5:1e6"
-        ) from None
-    return name.strip(), (low, high)
+    return pair_in("bounds", text, "NAME=LOW:HIGH, such as young_modulus=1e5:1e6")

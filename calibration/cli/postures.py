@@ -4,9 +4,10 @@ import contextlib
 import os
 from pathlib import Path
 
-from calibration.cli.common import UsageError, bound_in, names_in, prepare_jax
+from calibration.cli.common import UsageError, bound_in, names_in, pair_in, prepare_jax
 from calibration.cli.exclusive import alone_in
 
+_PRIOR = "NAME=MEAN:SPREAD, such as density=1070:20"
 _FOR_MOTIONS = ("per_recording", "held_out", "resume", "optimiser", "profile", "explain", "dt")
 _FOR_MOTIONS += ("mapping", "condition", "look", "window", "split", "drift", "tolerance")
 
@@ -20,7 +21,7 @@ def run_postures(args) -> int:
     if not args.fit:
         raise UsageError("--fit: name what to fit, such as young_modulus,tendons[*].friction")
     bounds = dict(bound_in(text) for text in args.bounds or ())
-    priors = dict(_prior(text) for text in args.prior or ())
+    priors = dict(pair_in("prior", text, _PRIOR) for text in args.prior or ())
     out = Path(args.out)
     if out.exists() and not out.is_dir():
         raise UsageError(f"--out {out}: is a file; give a directory")
@@ -69,14 +70,3 @@ def _what(args):
     if len(scenes) != 1 or not logs:
         raise UsageError("--postures: give one SCENE.toml, and at least one LOG")
     return scenes[0], logs
-
-
-def _prior(text: str) -> tuple[str, tuple[float, float]]:
-    name, _, numbers = text.rpartition("=")
-    try:
-        mean, spread = (float(x) for x in numbers.split(":"))
-    except ValueError:
-        raise UsageError(
-            f"--prior {text}: expected NAME=MEAN:SPREAD, such as density=1070:20"
-        ) from None
-    return name.strip(), (mean, spread)

@@ -25,6 +25,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
+from softrod_jax.rod.energies import TendonPull
 from softrod_jax.rod.rotations import cross
 
 # By what part of what is beyond a point a tendon slides until friction acts in full. Tendons
@@ -110,13 +111,10 @@ class Friction(eqx.Module):
         With the rates of strain left out, which turn it by a section's radius over the length on
         which strains change.
         """
-        r = jnp.broadcast_to(self.r, (*u.shape[:-1], *self.r.shape[-2:]))
-        v, u = v[..., None, :], u[..., None, :]
-        l, l_s = v + cross(u, r), 0.0
+        l, length = TendonPull(self.coefficient, self.r, self.r_s, v).paths(u)
+        u, l_s = u[..., None, :], 0.0
         if self.r_s is not None and self.r_ss is not None:
-            r_s = jnp.broadcast_to(self.r_s, l.shape)
-            l, l_s = l + r_s, cross(u, r_s) + self.r_ss
-        length = jnp.sqrt(jnp.sum(l * l, -1) + 1e-30)
+            l_s = cross(u, jnp.broadcast_to(self.r_s, l.shape)) + self.r_ss
         t = l / length[..., None]
         t_s = l_s / length[..., None]
         if self.r_s is not None:
@@ -137,20 +135,6 @@ def sliding_throughout(slid: Slid, directions: Float[Array, "rubbing"]) -> Slid:
     """With friction in full in these directions, 1 or -1, wherever the rod goes from here."""
     far = 1e12 * jnp.broadcast_to(directions, slid.direction.shape)
     return slid._replace(direction=far)
-
-
-def tensions_along(
-    tau: Float[Array, "... tendons"], friction: Friction | None, there, losses, points: int
-) -> Float[Array, "points tendons"]:
-    """The tensions [N] of tendons at all points: zero where a tendon is not `there`.
-
-    `tau`: what acts at the actuators; `losses`: see the head of the file.
-    """
-    along = jnp.broadcast_to(tau, (points, tau.shape[-1]))
-    if friction is not None:
-        own = jnp.array(friction.which)
-        along = along.at[:, own].set(along[:, own] * jnp.exp(-losses))
-    return along if there is None else jnp.where(there, along, 0.0)
 
 
 def by_each_point(function: Callable, x: Float[Array, "*points n"]):
