@@ -44,7 +44,8 @@ def solve_path(
 
     Between rows inputs change slowly along a straight line. Tendons with friction, actuators with
     play and rods with several equilibria remember on which way they came: a row depends on those
-    before it.
+    before it. Where the path of equilibria ends, as in snapping, no damped motion goes on: the row
+    beyond has a code.
 
     - `tensions`, `pressures`, `pulls`: as of `solve_static`, one row an equilibrium.
     - `before`: the equilibrium before the first row; the unloaded rod if `None`.
