@@ -11,6 +11,7 @@ import pytest
 sys.path.insert(0, str(Path(__file__).parents[2] / "benchmarks"))
 
 import gpu  # noqa: E402
+import gpu_programs  # noqa: E402
 import launches  # noqa: E402
 
 NONE = lambda loop: None
@@ -76,7 +77,9 @@ def test_small_run_measures_everything_once(tmp_path, capsys):
     # All samples pass as often as the slowest; each solve shows that its factors serve, and the
     # stages of a step share them. Only what they do not serve for is attempted with others.
     assert lockstep["evaluations"] >= lockstep["evaluations_most"]
-    assert lockstep["evaluations"] >= 2 * lockstep["solves"] == 6 * gpu.COARSE.scheme.stages
+    assert (
+        lockstep["evaluations"] >= 2 * lockstep["solves"] == 6 * gpu_programs.COARSE.scheme.stages
+    )
     assert 3 <= lockstep["factorisations"] < lockstep["solves"]
     assert 0 <= lockstep["attempts"] < lockstep["solves"]
     motion = select("loops")[0]
