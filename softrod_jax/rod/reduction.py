@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool
 
-from softrod_jax.rod.body import INCOMPLETE, body_along, radius_along
+from softrod_jax.rod.body import INCOMPLETE, Body, body_along, radius_along
 from softrod_jax.rod.constants import PointLoad, Rod
 from softrod_jax.rod.contact import ContactForce
 from softrod_jax.rod.energies import Part
@@ -64,13 +64,7 @@ def make_rod(
     gravity, load = vector_in(plane, scene.gravity), scene.tip_load
     loads = _distributed_loads(scene)
     one, own = jnp.ones(()), (scene.energies, loads)
-    material = scene.material if isinstance(scene.material, AbstractEnergy) else None
-    fibres, relaxation = body.fibres, body.relaxation
-    if relaxation is not None and fibres is not None:
-        left = relaxation.left[..., None] * fibres.constants
-        fibres = dataclasses.replace(fibres, constants=left)
-    if relaxation is not None and material is not None:
-        material = Part(material, relaxation.left)
+    material, fibres = _law_for_ever(scene, body)
     rod = Rod(
         grid=grid,
         K_se=K_se,
@@ -108,18 +102,37 @@ def make_rod(
         plane=plane,
     )
     rod = rod if dynamic else rod.relaxed
-    if not no_tendons and rubbing(scene.tendons):
-        rod = dataclasses.replace(rod, friction=_friction(scene, rod))
-    if pulls is not None:
-        assert scene.tendons is not None, INCOMPLETE
-        there = where_active(scene, grid, scene.tendons)
-        lengths = given_lengths(scene.tendons, rod, jnp.asarray(pulls), there)
-        rod = dataclasses.replace(rod, constraint=lengths)
+    if not no_tendons:
+        rod = _with_tendons_own(scene, rod, pulls)
     if plane is None:
         return rod
     # Nothing depends on the attitude without dead loads.
     angle = angle_in(plane, rod.h_base) if rod.has_dead_load else jnp.zeros(1)
     return eqx.tree_at(lambda r: r.h_base, rod, angle)
+
+
+def _law_for_ever(scene: Scene, body: Body):
+    """The material of a user and the fibres of rubber, `None` each, as far as they do not relax."""
+    material = scene.material if isinstance(scene.material, AbstractEnergy) else None
+    fibres, relaxation = body.fibres, body.relaxation
+    if relaxation is not None and fibres is not None:
+        left = relaxation.left[..., None] * fibres.constants
+        fibres = dataclasses.replace(fibres, constants=left)
+    if relaxation is not None and material is not None:
+        material = Part(material, relaxation.left)
+    return material, fibres
+
+
+def _with_tendons_own(scene: Scene, rod: Rod, pulls) -> Rod:
+    """With friction of the tendons, and the lengths that pulls leave to them."""
+    assert scene.tendons is not None, INCOMPLETE
+    if rubbing(scene.tendons):
+        rod = dataclasses.replace(rod, friction=_friction(scene, rod))
+    if pulls is None:
+        return rod
+    there = where_active(scene, rod.grid, scene.tendons)
+    lengths = given_lengths(scene.tendons, rod, jnp.asarray(pulls), there)
+    return dataclasses.replace(rod, constraint=lengths)
 
 
 def _distributed_loads(scene: Scene):

@@ -73,34 +73,8 @@ def search_by_inertia(equations: Equations, options: NewtonOptions, U, before: B
 
     loads, keep_factors = loads_of(equations.rod), before.reused is not None
 
-    def at_once(state):
-        """The whole step: its history and loads, and the guess."""
-        return equations.history, loads, state.U
-
-    def on_the_way(state):
-        """The step as far as the next try goes."""
-        assert equations.history is not None, "a step of a motion"
-        c0, strain_h, velocity_h, crept_h = equations.history
-        start = equations.fields(U)
-        _, q, w, _, _ = equations.layout.split(start.y)
-        velocity = jnp.concatenate([q, w], -1)
-        strain = start.strain
-        if equations.rod.front_viscosity is not None:
-            # That of fronts has no slope where nothing moves, and Newton's method no start.
-            ahead = (before.rate - strain_h) / c0 - strain
-            strain = strain + ahead / jnp.maximum(jnp.max(jnp.abs(ahead)) / _AHEAD, 1.0)
-        at = jnp.minimum(_GOAL, state.done + state.advance)
-        part, change = jnp.minimum(at, 1.0), jnp.maximum(at - 1.0, 0.0)
-        # c (y - start) + the rate at `start`: with c = c0 the step itself.
-        c = c0 / part
-        if crept_h is not None and before.crept is not None:
-            crept_h = crept_h + (c0 - c) * before.crept
-        history = History(
-            c, strain_h + (c0 - c) * strain, velocity_h + (c0 - c) * velocity, crept_h
-        )
-        between = [change * a + (1 - change) * b for a, b in zip(loads, before.loads)]
-        moving = equations.start(start._replace(strain=strain))
-        return history, between, chosen(state.done == 0.0, moving, state.U)
+    at_once = lambda state: (equations.history, loads, state.U)
+    on_the_way = lambda state: _on_the_way(equations, U, before, state)
 
     def attempt(state):
         at = jnp.minimum(_GOAL, state.done + state.advance)
@@ -146,6 +120,30 @@ def search_by_inertia(equations: Equations, options: NewtonOptions, U, before: B
     result = jnp.where(whole, end.found.result, RESULTS.diverged).astype(jnp.int32)
     factors = end.factors if shared is None else shared
     return end.U, end.found._replace(result=result), factors
+
+
+def _on_the_way(equations: Equations, U, before: Before, state: _Way):
+    """The history, the loads and the guess of the step as far as the next try goes."""
+    assert equations.history is not None, "a step of a motion"
+    c0, strain_h, velocity_h, crept_h = equations.history
+    start = equations.fields(U)
+    _, q, w, _, _ = equations.layout.split(start.y)
+    velocity = jnp.concatenate([q, w], -1)
+    strain = start.strain
+    if equations.rod.front_viscosity is not None:
+        # That of fronts has no slope where nothing moves, and Newton's method no start.
+        ahead = (before.rate - strain_h) / c0 - strain
+        strain = strain + ahead / jnp.maximum(jnp.max(jnp.abs(ahead)) / _AHEAD, 1.0)
+    at = jnp.minimum(_GOAL, state.done + state.advance)
+    part, change = jnp.minimum(at, 1.0), jnp.maximum(at - 1.0, 0.0)
+    # c (y - start) + the rate at `start`: with c = c0 the step itself.
+    c = c0 / part
+    if crept_h is not None and before.crept is not None:
+        crept_h = crept_h + (c0 - c) * before.crept
+    history = History(c, strain_h + (c0 - c) * strain, velocity_h + (c0 - c) * velocity, crept_h)
+    between = [change * a + (1 - change) * b for a, b in zip(loads_of(equations.rod), before.loads)]
+    moving = equations.start(start._replace(strain=strain))
+    return history, between, chosen(state.done == 0.0, moving, state.U)
 
 
 def _in_single(equations: Equations, options: NewtonOptions, start: _Way, shared: SharedFactors):
