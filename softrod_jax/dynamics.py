@@ -1,7 +1,7 @@
 """Motion of a scene under inputs that change with time."""
 
 import functools
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import equinox as eqx
 import jax
@@ -32,9 +32,11 @@ from softrod_jax.scene.inputs import (
     time_step,
     whole_number,
 )
+from softrod_jax.scene.poses import Poses, PosesLike, checked_poses
 from softrod_jax.scene.scene import Scene
 from softrod_jax.scene.tendons import driven_by_length
 from softrod_jax.statics import StaticSolution
+from softrod_jax.stepping.courses import Course, courses_of
 from softrod_jax.stepping.marching import march, stepping_of
 from softrod_jax.stepping.moving_rod import Beginning
 from softrod_jax.stepping.scheme import AbstractTimeScheme
@@ -98,6 +100,8 @@ def simulate(
     pressures: Real[Array | np.ndarray, "steps chambers"] | Sequence[ManyLike] | None = None,
     pulls: Real[Array | np.ndarray, "steps by_length"] | Sequence[ManyLike] | None = None,
     *,
+    base: PosesLike | None = None,
+    contacts: Mapping[str, PosesLike] | None = None,
     steps: int | None = None,
     substeps: int | None = None,
     tolerance: float | None = None,
@@ -115,6 +119,12 @@ def simulate(
       `pulls` [m], (steps, tendons driven by length): row k acts from ts[k] to ts[k + 1]. Where an
       input does not jump but varies, row k is its value at ts[k + 1], reached linearly; pulls,
       which say where an actuator is, never jump. `None` leaves those actuators out.
+    - `base`: where the clamp is carried, (steps, 7): its position [m] and quaternion (w, x, y, z)
+      at the end of each step; or a pair of both, (steps, 3) and (steps, 4). It begins in the
+      scene's `base_position` and `base_quaternion`, at rest, and moves along a smooth curve through
+      these poses.
+    - `contacts`: where obstacles are carried, by their names, in the same form. Each is
+      where the scene has it, moved by its pose, which begins at position 0, quaternion 1, 0, 0, 0.
     - `steps`: how many, where there are no inputs to tell.
     - `substeps`: equal parts into which each step is divided. `None`: one, and more where the
       tip is off by more than `max_time_error` and substeps can still be chosen, which is outside
@@ -143,7 +153,8 @@ def simulate(
     require_float64("simulate")
     given, scene = scene, checked_scene("simulate", scene)
     inputs = checked_inputs("simulate", scene, Inputs(tensions, pressures, pulls), ndim=2)
-    steps = _count_steps(steps, inputs)
+    poses = checked_poses("simulate", scene, base, contacts)
+    steps = _count_steps(steps, inputs, poses)
     dt = time_step("simulate", dt)
     fixed_grid = method is not None or initial is not None
     if method is None:
@@ -159,10 +170,11 @@ def simulate(
     fixed_steps = substeps is not None
     substeps = whole_number("simulate", "substeps", substeps) if fixed_steps else 1
     limit = jnp.asarray(max_time_error, dtype=float)
-    traced = is_traced(scene, dt, inputs, begin, tolerance, limit)
+    traced = is_traced(scene, dt, inputs, poses, begin, tolerance, limit)
 
     def run(substeps, method=method, limit=limit):
-        return _simulate(scene, dt, inputs, begin, steps, substeps, scheme, method, newton, limit)
+        how = steps, substeps, scheme, method, newton, limit
+        return _simulate(scene, dt, inputs, poses, begin, *how)
 
     if tolerance is None and traced:
         trajectory = run(substeps)
@@ -204,9 +216,10 @@ def simulate(
     return trajectory
 
 
-def _count_steps(steps, inputs: Inputs) -> int:
+def _count_steps(steps, inputs: Inputs, poses: Poses) -> int:
     lengths = {} if steps is None else {"steps": whole_number("simulate", "steps", steps)}
     lengths |= {name: x.shape[0] for name, x in inputs._asdict().items() if x is not None}
+    lengths |= {name: x.shape[0] for name, x in poses.named.items()}
     if not lengths:
         raise ValueError("simulate: no inputs; say how many `steps`")
     if len(set(lengths.values())) > 1:
@@ -242,17 +255,28 @@ def _from_start(inputs: Inputs, begin: Beginning | None):
     return jnp.concatenate([first, tensions])
 
 
+def _clamp_in_time(clamp, base: Course | None, steps: int):
+    """Positions, (steps + 1, 3), and quaternions, (steps + 1, 4)."""
+    if base is None:
+        return tuple(jnp.tile(x, (steps + 1, 1)) for x in clamp)
+    own = base.now[:, :3], base.now[:, 3:]
+    return tuple(jnp.concatenate([x[None], rows]) for x, rows in zip(clamp, own))
+
+
 @compiled
-def _simulate(scene, dt, inputs, begin, steps, substeps, scheme, method, options, limit):
+def _simulate(scene, dt, inputs, poses, begin, steps, substeps, scheme, method, options, limit):
     scene, dt, good = usable_in_time(scene, dt)
     first = jax.tree.map(lambda x: x[0], inputs)
     inputs = after_play_in_time(scene, inputs, None if begin is None else begin.inputs.pulls)
     stepping = stepping_of(scene, dt, first, substeps, scheme, method, options)
-    strains, velocities, results, found, stats, pushes = march(stepping, inputs, begin, steps, good)
-    base, h_base = clamp_pose(scene)
+    clamp = clamp_pose(scene)
+    courses = courses_of(poses, clamp)
+    strains, velocities, results, found, stats, pushes = march(
+        stepping, inputs, begin, steps, good, courses
+    )
     grid = method.grid(scene)
-    positions, quaternions = jax.vmap(lambda strain: method.shape(strain, grid, base, h_base))(
-        strains
+    positions, quaternions = jax.vmap(lambda strain, *clamp: method.shape(strain, grid, *clamp))(
+        strains, *_clamp_in_time(clamp, courses.base, steps)
     )
     nodes = method.outputs(grid.s)
     inside = jax.vmap(method.inside)(strains)

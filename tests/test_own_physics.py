@@ -11,6 +11,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from jax.test_util import check_grads
 
 import softrod_jax as sr
 from softrod_jax.rod.reduction import make_rod
@@ -54,6 +55,24 @@ class Logarithmic(Linear):
         A, l = np.pi * R**2, v[2]
         straight = 0.5 * self.E * A * (l - 1) ** 2
         return super().density(v, u, s) - straight + self.E * A * (l - 1 - jnp.log(l))
+
+
+class Viscous(sr.AbstractDissipation):
+    """Kelvin-Voigt damping of bending and twist: B |u_t|^2 / 2."""
+
+    B: jax.Array
+
+    def potential(self, v_t, u_t, s):
+        return 0.5 * self.B * jnp.sum(u_t * u_t)
+
+
+class Cubic(sr.AbstractDissipation):
+    """Damping that grows with the rate: B |u_t|^4 / 4."""
+
+    B: jax.Array
+
+    def potential(self, v_t, u_t, s):
+        return 0.25 * self.B * jnp.sum(u_t * u_t) ** 2
 
 
 class Wind(sr.AbstractDistributedLoad):
@@ -110,6 +129,20 @@ PAIRS = {
     "material, plane": (linear(gravity=ACROSS, plane="xz"), rod(gravity=ACROSS, plane="xz")),
     "load": (windy(**PULLS), rod(gravity=ACROSS, **PULLS)),
     "load, plane": (windy(plane="xz"), rod(gravity=ACROSS, plane="xz")),
+    "damping": (
+        rod(gravity=ACROSS, bending_damping=None, dissipations=(Viscous(1e-6),), **PULLS),
+        rod(gravity=ACROSS, **PULLS),
+    ),
+    "damping, plane, inextensible": (
+        rod(
+            gravity=ACROSS,
+            bending_damping=None,
+            dissipations=(Viscous(1e-6),),
+            plane="xz",
+            inextensible=True,
+        ),
+        rod(gravity=ACROSS, plane="xz", inextensible=True),
+    ),
 }
 
 
@@ -134,6 +167,21 @@ def test_what_is_written_again_does_the_same(name):
     moving = [jax.jit(moved)(x) for x in (own, built_in)]
     assert [int(x[1]) for x in moving] == [0, 0]
     np.testing.assert_allclose(moving[0][0], moving[1][0], rtol=0, atol=1e-8)
+
+
+def test_damping_that_grows_with_the_rate_takes_energy_and_has_derivatives():
+    """A rod that is let go: with such damping its highest swings are lost first, never gained."""
+    undamped = dict(gravity=ACROSS, bending_damping=None)
+
+    @jax.jit
+    def tip(B):
+        scene = rod(dissipations=(Cubic(B),), **undamped)
+        motion = sr.simulate(scene, 0.01, steps=12, method=METHOD, max_time_error=0.5, throw=False)
+        return 10 * motion.tip_positions[-1, 0], jnp.min(motion.tip_positions[:, 0])
+
+    sunk = [float(tip(B)[1]) for B in (1e-12, 1e-10, 1e-9)]
+    assert sunk[0] < sunk[1] < sunk[2] < -1e-3
+    check_grads(lambda x: tip(1e-9 * x)[0], (1.0,), order=1, atol=1e-6, rtol=1e-6, eps=1e-4)
 
 
 def test_drag_written_again_does_the_same():

@@ -120,9 +120,12 @@ class Equations(NamedTuple):
         """(p, h, q, omega) at the clamp (paper eq. 13), and losses of tendons, none there."""
         p = vector_in(self.rod.plane, self.rod.p_base)
         h = self.rod.h_base if self.layout.attitude else None
-        still = jnp.zeros(self.layout.pair) if self.layout.dynamic else None
+        moving = None
+        if self.layout.dynamic:
+            still = self.rod.base_velocity is None
+            moving = jnp.zeros(self.layout.pair) if still else self.rod.base_velocity
         lossless = jnp.zeros(self.layout.rubbing) if self.layout.rubbing else None
-        parts = [x for x in (p, h, still, lossless) if x is not None]
+        parts = [x for x in (p, h, moving, lossless) if x is not None]
         return jnp.concatenate(parts) if parts else jnp.zeros(0)
 
     def start(self, guess: Guess) -> Unknowns:

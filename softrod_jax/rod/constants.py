@@ -18,7 +18,7 @@ from softrod_jax.rod.fibres import Fibres
 from softrod_jax.rod.friction import Friction, Slid, sliding_throughout
 from softrod_jax.rod.grid import Grid
 from softrod_jax.rod.relaxation import Relaxation
-from softrod_jax.scene.acting import AbstractDistributedLoad, AbstractEnergy
+from softrod_jax.scene.acting import AbstractDissipation, AbstractDistributedLoad, AbstractEnergy
 from softrod_jax.scene.planes import in_space, turn_in, vector_in
 
 Scalar = Float[Array, ""]
@@ -55,13 +55,15 @@ class Rod(eqx.Module):
     - `at_gaps`: loads and masses along the rod.
     - `fibres`*: of rubber, or None; `K_se` and `K_bt` are then their stiffness at small strain.
     - `relaxation`*: of a rod in motion, or None; `K_se` and `K_bt` are then its stiffness at once.
-    - `material`, `energies`, `distributed_loads`: those of users, at arc lengths `s`* [m]; the last
+    - `material`, `dissipations` (of a rod in motion), `energies`, `distributed_loads`: those of
+      users, at arc lengths `s`* [m]; the last
       two times `load_factor`.
     - `constraint`: conditions on the whole rod, whose multipliers act on it. `friction`: of
       tendons in their channels; `tau` is then what acts at their actuators.
     - `radius`* [m]: of the sections, or None where nothing touches the rod.
     - `h_base`: quaternion of the clamp, (4,). `p_base` [m], (3,): its position, or None where no
-      load depends on the position.
+      load depends on the position. `base_velocity`: (q, omega) of the clamp, (6,), or None where
+      it stands still.
 
     `K_se` is None for an inextensible rod. In a `plane`, a vector (v, q, N) has two components
     instead of three and a turn (u, omega, M) one; `h_base` is an angle, (1,).
@@ -76,6 +78,7 @@ class Rod(eqx.Module):
     rho_J: Float[Array, "... turn"]
     h_base: Float[Array, "attitude"]
     p_base: Float[Array, "3"] | None = None
+    base_velocity: Float[Array, "pair"] | None = None
     B_se: Float[Array, "... vector"] | None = None
     B_bt: Float[Array, "... turn"] | None = None
     C: Float[Array, "... vector"] | None = None
@@ -94,6 +97,7 @@ class Rod(eqx.Module):
     fibres: Fibres | None = None
     relaxation: Relaxation | None = None
     material: AbstractEnergy | None = None
+    dissipations: Sequence[AbstractDissipation] | None = None
     energies: Sequence[AbstractEnergy] | None = None
     distributed_loads: Sequence[AbstractDistributedLoad] | None = None
     load_factor: Scalar | None = None
@@ -123,7 +127,7 @@ class Rod(eqx.Module):
     @property
     def explicit_strains(self) -> bool:
         """Whether the energy is quadratic: strains then follow without iterations."""
-        own = (self.tau, self.fibres, self.material, self.energies)
+        own = (self.tau, self.fibres, self.material, self.energies, self.dissipations)
         return all(x is None for x in own)
 
     @property

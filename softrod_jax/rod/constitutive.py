@@ -25,7 +25,7 @@ from jaxtyping import Array, Bool, Float
 
 from softrod_jax.foundation.products import product
 from softrod_jax.rod.constants import Rod, Scalar, joined
-from softrod_jax.rod.energies import AbstractTerm, Density, TendonPull
+from softrod_jax.rod.energies import AbstractTerm, Density, Dissipated, TendonPull
 from softrod_jax.rod.fibres import FibreEnergy, Fibres
 from softrod_jax.rod.relaxation import Crept
 from softrod_jax.rod.rotations import cross
@@ -126,6 +126,9 @@ def _terms(rod: Rod, c0: Scalar | None, strain_history: Strain | None) -> tuple[
         terms.append(Density(rod.material, rod.s, rod.reach, None, v, rod.plane))
     for energy in rod.energies or ():
         terms.append(Density(energy, rod.s, rod.reach, rod.load_factor, v, rod.plane))
+    if c0 is not None and strain_history is not None:
+        moving = c0, strain_history, v is None, rod.plane
+        terms += [Dissipated(x, rod.s, rod.reach, *moving) for x in rod.dissipations or ()]
     return tuple(terms)
 
 

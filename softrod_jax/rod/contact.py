@@ -3,6 +3,7 @@
 import jax
 import jax.numpy as jnp
 
+from softrod_jax.rod.carried import Carried
 from softrod_jax.rod.rotations import cross, to_base, to_body
 from softrod_jax.scene.acting import AbstractDistributedLoad, Here
 from softrod_jax.scene.contacts import Contact
@@ -19,16 +20,21 @@ class ContactForce(AbstractDistributedLoad):
     """
 
     contact: Contact
+    carried: Carried | None = None
     needs_position = True
 
     def wrench(self, here: Here):
         contact, (p, radius) = self.contact, (here.position, here.radius)
         assert p is not None and radius is not None, "a rod in contact"
-        distance, normal = jax.value_and_grad(contact.obstacle.distance)(p)
+        distance, normal = jax.value_and_grad(self._distance)(p)
         depth = radius - distance
         touches = depth > 0
         n = to_body(here.quaternion, normal)
         q, w = here.velocity, here.angular_velocity
+        if self.carried is not None:
+            # Against an obstacle that moves counts how the rod moves relative to it.
+            surface = self.carried.velocity_at(p - radius * normal)
+            q = q - to_body(here.quaternion, surface)
         push = jnp.where(touches, contact.stiffness * depth, 0.0)
         if contact.damping is not None:
             # The point that touches moves as the axis does, along the normal: it is above it.
@@ -41,6 +47,10 @@ class ContactForce(AbstractDistributedLoad):
         slides = slides - (slides @ n) * n
         rub = -contact.friction * push * slides / jnp.sqrt(slides @ slides + slow**2)
         return push * n + rub, cross(arm, rub)
+
+    def _distance(self, p):
+        inside = p if self.carried is None else self.carried.inside(p)
+        return self.contact.obstacle.distance(inside)
 
 
 def force_on_rod(load: ContactForce, here: Here):

@@ -1,4 +1,4 @@
-"""Energies per unit of rod that are not quadratic in the strains: tendons, and those of users.
+"""What is not quadratic in the strains, per unit of rod: tendons, energies and damping of users.
 
 Per unit of rod, tendons store `tau_i |v + u x r_i + r_i,s|`, convex for tensions >= 0.
 
@@ -18,7 +18,7 @@ from jaxtyping import Array, Float
 
 from softrod_jax.foundation.products import product_in_components
 from softrod_jax.rod.rotations import cross, hats
-from softrod_jax.scene.acting import AbstractEnergy
+from softrod_jax.scene.acting import AbstractDissipation, AbstractEnergy
 from softrod_jax.scene.planes import in_space
 
 # (v, u), or u where v is given: 6, 3, or in a plane 3 and 1 numbers.
@@ -153,8 +153,25 @@ class Part(AbstractEnergy):
         return self.part * self.whole.density(v, u, s)
 
 
-class Density(AbstractTerm):
-    """`factor` times an energy of a user, by automatic differentiation.
+class AbstractPointwise(AbstractTerm):
+    """A term that is a function at each point, by automatic differentiation."""
+
+    @abc.abstractmethod
+    def _each(self, derived, shape: str, x: Strain):
+        """Of each point what `derived` makes of its function, an array of this shape."""
+
+    def value(self, x):
+        return self._each(lambda f: f, "()", x)
+
+    def gradient(self, x):
+        return self._each(jax.grad, "(n)", x)
+
+    def hessian(self, x):
+        return self._each(jax.hessian, "(n,n)", x)
+
+
+class Density(AbstractPointwise):
+    """`factor` times an energy of a user.
 
     `s` [m], (points,); `v` (3,) where it is given and x = u; `radius` [m]: see `reach`.
     """
@@ -175,18 +192,39 @@ class Density(AbstractTerm):
         W = self.energy.density(strain[:3], strain[3:], s)
         return W if self.factor is None else self.factor * W
 
-    def _each(self, function, shape: str, x):
-        v = jnp.zeros(0) if self.v is None else self.v
-        return jnp.vectorize(function, signature=f"(n),(m),()->{shape}")(x, v, self.s)
+    def _each(self, derived, shape, x):
+        v, f = jnp.zeros(0) if self.v is None else self.v, derived(self._at_point)
+        return jnp.vectorize(f, signature=f"(n),(m),()->{shape}")(x, v, self.s)
 
-    def value(self, x):
-        return self._each(self._at_point, "()", x)
 
-    def gradient(self, x):
-        return self._each(jax.grad(self._at_point), "(n)", x)
+class Dissipated(AbstractPointwise):
+    """Psi(x_t) / c0 with x_t = c0 x + x_h: its derivative by x is that of Psi by the rates.
 
-    def hessian(self, x):
-        return self._each(jax.hessian(self._at_point), "(n,n)", x)
+    `s` [m], (points,); `x_h` as x; `radius` [m]: see `reach`. Where `stretches` is not so, x = u.
+    """
+
+    dissipation: AbstractDissipation
+    s: Float[Array, "..."]
+    radius: Float[Array, ""]
+    c0: Float[Array, ""]
+    x_h: Strain
+    stretches: bool = eqx.field(static=True)
+    plane: str | None = eqx.field(static=True, default=None)
+
+    @property
+    def reach(self) -> Float[Array, ""]:
+        return self.radius
+
+    def _at_point(self, x, x_h, s):
+        rate = self.c0 * x + x_h
+        if not self.stretches:
+            rate = jnp.concatenate([jnp.zeros(3 if self.plane is None else 2), rate])
+        rate = in_space(rate, self.plane)
+        return self.dissipation.potential(rate[:3], rate[3:], s) / self.c0
+
+    def _each(self, derived, shape, x):
+        f = derived(self._at_point)
+        return jnp.vectorize(f, signature=f"(n),(n),()->{shape}")(x, self.x_h, self.s)
 
 
 def stiffness_at_rest(energy: AbstractEnergy, v: Float[Array, "3"], u: Float[Array, "3"]):

@@ -115,7 +115,7 @@ def given_lengths(
 def _pretensioned(rod: Rod, lengths: GivenLengths, tensions) -> Float[Array, "points strain"]:
     """The strains of the rod under these tensions alone."""
     assert rod.tau is not None, "a rod with tendons"
-    without = ("n_ch", "m_ch", "energies", "front_viscosity", "B_se", "B_bt")
+    without = ("n_ch", "m_ch", "energies", "dissipations", "front_viscosity", "B_se", "B_bt")
     alone = eqx.tree_at(
         lambda r: [getattr(r, name) for name in without],
         rod,

@@ -8,6 +8,7 @@ import numpy as np
 from jaxtyping import Array, Bool
 
 from softrod_jax.rod.body import INCOMPLETE, Body, body_along, radius_along
+from softrod_jax.rod.carried import Carried, Surroundings
 from softrod_jax.rod.constants import PointLoad, Rod
 from softrod_jax.rod.contact import ContactForce
 from softrod_jax.rod.energies import Part
@@ -23,6 +24,7 @@ from softrod_jax.rod.grid import (
     places_of,
     uniform_grid,
 )
+from softrod_jax.rod.rotations import to_body
 from softrod_jax.scene.acting import AbstractEnergy
 from softrod_jax.scene.inputs import Inputs
 from softrod_jax.scene.planes import about_normal, angle_in, turn_in, vector_in
@@ -41,13 +43,14 @@ def make_rod(
     dynamic: bool = True,
     grid: Grid | None = None,
     spread_fronts: bool = False,
+    around: Surroundings = Surroundings(),
 ) -> Rod:
     """Reduce `scene` under `inputs`, one value for each actuator.
 
     `None` for a kind of them leaves it out of the program. `dynamic=False` leaves out what acts on
     a moving rod only (damping, drag). `grid`: the points where numbers that vary along the
     rod are wanted; a few where nothing is said. `spread_fronts`: fronts that tensions send along a
-    moving rod are spread over a few points.
+    moving rod are spread over a few points. `around`: where the base and obstacles are that move.
     """
     tensions, pressures, pulls = inputs
     no_tendons = tensions is None and pulls is None
@@ -62,7 +65,8 @@ def make_rod(
     if not no_tendons and spread_fronts and body.K_se is not None:
         front = _FRONT_VISCOSITY * grid.widest**2 * body.rho_A / body.K_se[..., 2:]
     gravity, load = vector_in(plane, scene.gravity), scene.tip_load
-    loads = _distributed_loads(scene)
+    loads = _distributed_loads(scene, around)
+    clamp = clamp_pose(scene) if around.base is None else around.base[:2]
     one, own = jnp.ones(()), (scene.energies, loads)
     material, fibres = _law_for_ever(scene, body)
     rod = Rod(
@@ -73,8 +77,9 @@ def make_rod(
         u_star=turn_in(plane, body.u_star),
         rho_A=body.rho_A,
         rho_J=about_normal(plane, body.rho_J),
-        h_base=clamp_pose(scene)[1],
-        p_base=clamp_pose(scene)[0] if any(x.needs_position for x in loads or ()) else None,
+        h_base=clamp[1],
+        p_base=clamp[0] if any(x.needs_position for x in loads or ()) else None,
+        base_velocity=None if around.base is None else _velocity(around.base, plane),
         B_se=moving(vector_in(plane, body.B_se)) if stretches else None,
         B_bt=moving(about_normal(plane, body.B_bt)),
         C=moving(vector_in(plane, body.C)),
@@ -94,10 +99,11 @@ def make_rod(
         fibres=fibres,
         relaxation=body.relaxation,
         material=material,
+        dissipations=moving(scene.dissipations),
         energies=scene.energies,
         distributed_loads=loads,
         load_factor=None if own == (None, None) else one,
-        s=None if all(x is None for x in (material, *own)) else grid.s,
+        s=None if all(x is None for x in (material, scene.dissipations, *own)) else grid.s,
         radius=None if scene.contacts is None else radius_along(scene, grid),
         plane=plane,
     )
@@ -135,10 +141,18 @@ def _with_tendons_own(scene: Scene, rod: Rod, pulls) -> Rod:
     return dataclasses.replace(rod, constraint=lengths)
 
 
-def _distributed_loads(scene: Scene):
+def _distributed_loads(scene: Scene, around: Surroundings):
     """Those of users, and what obstacles do."""
-    contacts = map(ContactForce, scene.contacts or ())
-    return (*(scene.distributed_loads or ()), *contacts) or None
+    contacts = scene.contacts or ()
+    carried = around.obstacles or (None,) * len(contacts)
+    own = map(ContactForce, contacts, carried)
+    return (*(scene.distributed_loads or ()), *own) or None
+
+
+def _velocity(base: Carried, plane: str | None) -> Array:
+    """(q, omega) of a clamp."""
+    q = to_body(base.quaternion, base.velocity)
+    return jnp.concatenate([vector_in(plane, q), turn_in(plane, base.angular_velocity)])
 
 
 def a_few_points(scene: Scene) -> Grid:

@@ -27,6 +27,19 @@ class AbstractEnergy(eqx.Module):
         """W [N] for the strains v [-] and u [1/m] at arc length `s` [m]."""
 
 
+class AbstractDissipation(eqx.Module):
+    """A potential of dissipation per unit of rod, Psi(v_t, u_t): of internal damping.
+
+    Its derivatives by the rates are a force [N] and a moment [N m] of a section, body frame, which
+    add to those of the energies in a motion; in an equilibrium there are none. It must be convex
+    and least at rest, or the rod gains energy.
+    """
+
+    @abc.abstractmethod
+    def potential(self, v_t: Float[Array, "3"], u_t: Float[Array, "3"], s: Scalar) -> Scalar:
+        """Psi [N/s] for the rates v_t [1/s] and u_t [1/(m s)] at arc length `s` [m]."""
+
+
 class Here(NamedTuple):
     """A place along the rod at one instant.
 

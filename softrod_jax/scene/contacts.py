@@ -95,6 +95,7 @@ class Contact(eqx.Module):
       equilibria are without friction.
     - `slip_speed` [m/s]: 1e-3 if `None`.
     - `name`: of its force in solutions; "contact1" for the first without one, and so on.
+    - `moves`: whether recordings have columns for where it is carried.
     """
 
     obstacle: AbstractObstacle
@@ -103,6 +104,7 @@ class Contact(eqx.Module):
     friction: Maybe[ScalarLike] = number(**_OPTIONAL)
     slip_speed: Maybe[ScalarLike] = number("m/s", optional=True, above=0, harmless=1.0)
     name: str | None = eqx.field(static=True, default=None)
+    moves: bool = eqx.field(static=True, default=False)
 
 
 def contact_names(contacts) -> tuple[str, ...]:

@@ -128,6 +128,19 @@ def _parts(scene: Scene) -> list[_Part]:
     return [_Part(*part) for part in parts if part[1] is not None]
 
 
+def vectors_off(plane: str, a: np.ndarray) -> np.ndarray:
+    """Whether each of these vectors, (rows, 3), has a component off the plane."""
+    off = np.abs(a[:, 1 - PLANES.index(plane)])
+    return off > _ROUNDING * np.max(np.abs(a), initial=1e-300)
+
+
+def turns_off(plane: str, a: np.ndarray) -> np.ndarray:
+    """Whether each of these turns, (rows, 3), is about another axis than the plane's normal."""
+    normal = 1 - PLANES.index(plane)
+    others = [i for i in range(3) if i != normal]
+    return np.max(np.abs(a[:, others]), axis=-1) > _ROUNDING * np.max(np.abs(a), initial=1.0)
+
+
 def _routes(scene: Scene):
     """Where the tendons run in the section; those that vary along the rod, at many points."""
     tendons, x = scene.tendons, jnp.linspace(0.0, 1.0, 33)

@@ -18,10 +18,12 @@ _MOST_PARTS = 8
 _MOST_NUMBERS = 12
 # What need not be said.
 _USUAL = {"guided": "rod", "control": "tension", "frame": "base", "inextensible": False}
+_USUAL |= {"base_moves": False, "moves": False}
 # Tables beside that of the rod.
 _OTHERS = (
     *("segments", "tendons", "chambers", "payload", "tip_load"),
-    *("loads", "masses", "markers", "energies", "distributed_loads", "contacts"),
+    *("loads", "masses", "markers"),
+    *("energies", "dissipations", "distributed_loads", "contacts"),
 )
 
 
@@ -34,7 +36,7 @@ def described(scene: eqx.Module) -> str:
         if part is None:
             continue
         if isinstance(part, tuple | list):
-            own = name in ("energies", "distributed_loads")
+            own = name in ("energies", "dissipations", "distributed_loads")
             lines += _counted(name, [_value(x, ANY) if own else _inline(x) for x in part])
         elif _has_rows(part):
             lines += _counted(name, [_row(part, i) for i in range(part.count)])

@@ -40,6 +40,7 @@ def scene_of(document: dict, file: str) -> Scene:
     if "payload" in top:
         mass = read_table(top["payload"], schema.PAYLOAD, f"{file} payload")["mass"]
     load = read_table(top.get("tip_load", {}), schema.TIP_LOAD, f"{file} tip_load")
+    base = read_table(top["base"], schema.BASE, f"{file} base") if "base" in top else {}
     has_load = any(x is not None for x in load.values())
     scene = as_arrays(
         Scene(
@@ -55,6 +56,7 @@ def scene_of(document: dict, file: str) -> Scene:
                 Marker(**read_table(x, schema.MARKER, w)) for x, w in _each(top, "markers", file)
             ],
             contacts=[_contact(*entry) for entry in _each(top, "contacts", file)],
+            base_moves=base.get("moves", False),
         )
     )
     for key, value, remedy in (*impossible(scene), *misfits(scene)):

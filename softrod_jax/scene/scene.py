@@ -21,7 +21,7 @@ from softrod_jax.foundation.numbers import (
     ScalarLike,
     VectorLike,
 )
-from softrod_jax.scene.acting import AbstractDistributedLoad, AbstractEnergy
+from softrod_jax.scene.acting import AbstractDissipation, AbstractDistributedLoad, AbstractEnergy
 from softrod_jax.scene.chambers import Chambers
 from softrod_jax.scene.contacts import Contact
 from softrod_jax.scene.loads import DEAD_LOAD, Load, Marker, Mass, Payload, TipLoad
@@ -54,8 +54,8 @@ class Scene(eqx.Module):
       and whatever else is not as this scene says. `length` is then their sum, and `section` None.
     - `section_at_end`: the section at the tip, to which its dimensions change linearly.
     - `material` instead of the moduli: `NeoHookean` or `MooneyRivlin` for rubber and silicone, or a
-      law of one's own, see `AbstractEnergy`. `energies` and `distributed_loads`: whatever else
-      acts, see `AbstractEnergy` and `AbstractDistributedLoad`.
+      law of one's own, see `AbstractEnergy`. `energies`, `dissipations` and `distributed_loads`:
+      whatever else acts, see these classes' interfaces.
     - `contacts`: obstacles that the rod may touch, whose sections must then be round.
     - `stiffness` instead of the moduli and `linear_density` [kg/m] instead of the density.
     - `bending_damping` B_bt [N m^2 s] and `shear_damping` B_se [N s]: Kelvin-Voigt, a number
@@ -69,7 +69,8 @@ class Scene(eqx.Module):
     - `shear_correction` [-] scales GA; 1 as in Roshanfar et al. (2024).
     - `rest_curvature` u* [1/m] and `rest_stretch` v* [-], (3,): the strains of the unloaded
       rod; straight (0, 0, 0) and (0, 0, 1) where `None`.
-    - `base_position` [m], (3,), and `base_quaternion` (w, x, y, z): pose of the clamp.
+    - `base_position` [m], (3,), and `base_quaternion` (w, x, y, z): pose of the clamp, in motions
+      where it begins. `base_moves`: whether recordings have columns for where it is carried.
 
     Restrictions, with fewer unknowns. They are part of the program and not numbers in it:
 
@@ -114,8 +115,10 @@ class Scene(eqx.Module):
     material: AbstractEnergy | AbstractRubber | None = None
     relaxation: Maybe[RowsLike] = number(**RELAXATION)
     energies: Sequence[AbstractEnergy] | None = None
+    dissipations: Sequence[AbstractDissipation] | None = None
     distributed_loads: Sequence[AbstractDistributedLoad] | None = None
     contacts: Sequence[Contact] | None = None
+    base_moves: bool = eqx.field(static=True, default=False)
     inextensible: bool = eqx.field(static=True, default=False)
     plane: str | None = eqx.field(static=True, default=None)
 
@@ -123,13 +126,16 @@ class Scene(eqx.Module):
         if self.segments is not None:
             self.segments = tuple(self.segments)
             self.length = total_length(self.segments)
-        for name in ("loads", "masses", "markers", "energies", "distributed_loads", "contacts"):
+        several = ("energies", "dissipations", "distributed_loads", "contacts")
+        for name in ("loads", "masses", "markers", *several):
             parts = getattr(self, name)
             setattr(self, name, tuple(parts) if parts else None)
 
     def __check_init__(self):
-        if not isinstance(self.inextensible, bool):
-            raise ValueError(f"Scene: inextensible={self.inextensible!r}; use True or False")
+        for name in ("inextensible", "base_moves"):
+            value = getattr(self, name)
+            if not isinstance(value, bool):
+                raise ValueError(f"Scene: {name}={value!r}; use True or False")
         if self.plane is not None and self.plane not in PLANES:
             raise ValueError(f'Scene: plane={self.plane!r} is not offered; use "xz", "yz" or None')
         if self.segments == ():

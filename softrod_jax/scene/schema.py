@@ -158,9 +158,12 @@ class Flag:
 
     required: bool = False
 
+    def __str__(self) -> str:
+        return "true or false"
+
     def read(self, value: Any, where: str) -> bool:
         if not isinstance(value, bool):
-            raise SceneError(complaint(where, value, "expected true or false"))
+            raise SceneError(complaint(where, value, f"expected {self}"))
         return value
 
 
@@ -191,7 +194,9 @@ SCENE: Schema = {
     "masses": Tables(),
     "markers": Tables(),
     "contacts": Tables(),
+    "base": Table(),
 }
+BASE: Schema = {"moves": Flag(required=True)}
 
 # A length and a section, or segments instead: that is checked with the scene as a whole.
 ROD: Schema = {
@@ -256,7 +261,7 @@ CHAMBER = _numbers_of(Chambers)
 LOAD: Schema = {**_numbers_of(Load), "frame": Word(FRAMES)}
 MASS = _numbers_of(Mass)
 MARKER: Schema = {"name": Text(required=True), **_numbers_of(Marker)}
-CONTACT: Schema = {"name": Text(), **_numbers_of(Contact)}
+CONTACT: Schema = {"name": Text(), **_numbers_of(Contact), "moves": Flag()}
 # The keys of an obstacle stand beside those of the contact with it.
 OBSTACLES: dict[str, tuple[type[AbstractObstacle], Schema]] = {
     name: (kind, _numbers_of(kind))

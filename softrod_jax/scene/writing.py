@@ -59,8 +59,11 @@ def document_of(scene: Scene, file: str) -> dict:
             ({} if x.name is None else {"name": x.name})
             | _with_shape(x.obstacle, _OBSTACLES, schema.OBSTACLES, f"{file} contacts[{i}]")
             | _values(x, schema.CONTACT)
+            | ({"moves": True} if x.moves else {})
             for i, x in enumerate(scene.contacts)
         ]
+    if scene.base_moves:
+        document["base"] = {"moves": True}
     return document
 
 

@@ -19,6 +19,7 @@ from softrod_jax.rod.constants import full_strain
 from softrod_jax.scene.inputs import Inputs
 from softrod_jax.scene.planes import in_space
 from softrod_jax.scene.scene import Scene
+from softrod_jax.stepping.courses import Courses
 from softrod_jax.stepping.moving_rod import Beginning, MovingRod, State, moving_rod
 from softrod_jax.stepping.scheme import AbstractTimeScheme
 from softrod_jax.stepping.step_inputs import StepInputs, inputs_of_steps
@@ -104,8 +105,15 @@ def stepping_of(
     return Stepping(moving_rod(scene, dt, inputs, scheme, method, options), substeps)
 
 
-def march(stepping: Stepping, inputs: Inputs, begin: Beginning | None, steps: int, good) -> March:
-    """Move from rest under `inputs`, one row a step.
+def march(
+    stepping: Stepping,
+    inputs: Inputs,
+    begin: Beginning | None,
+    steps: int,
+    good,
+    courses: Courses = Courses(),
+) -> March:
+    """Move from rest under `inputs`, one row a step, while base and obstacles take their `courses`.
 
     `begin`: the unloaded rod if `None`. `good`: whether there can be such a scene; see
     `rod/validity.py`. The first entry of the strains and velocities is that of the beginning.
@@ -114,6 +122,9 @@ def march(stepping: Stepping, inputs: Inputs, begin: Beginning | None, steps: in
     start = moving.at_rest(begin, good)
     at_first = None if begin is None else begin.inputs
     step_inputs, restart = inputs_of_steps(inputs, steps, at_first)
+    if courses.good is not None:
+        can_be = step_inputs.good & courses.good
+        step_inputs = step_inputs._replace(courses=courses, good=can_be)
     length = moving.dt if isinstance(substeps, LocalError) else moving.dt / substeps
     coefficients = moving.scheme.coefficients(length, restart)
     _, seen = jax.lax.scan(

@@ -5,6 +5,7 @@ into one solve or several, each with a history of its own (paper eq. 14); a solv
 one before it, with its factors where these still serve.
 """
 
+import dataclasses
 import functools
 from typing import Any, NamedTuple
 
@@ -19,6 +20,7 @@ from softrod_jax.bvp.newton import NewtonOptions, ReusedFactors, no_factors
 from softrod_jax.bvp.unloaded import unloaded_guess
 from softrod_jax.foundation.compiling import on_cpu
 from softrod_jax.foundation.results import RESULTS
+from softrod_jax.rod.carried import Surroundings
 from softrod_jax.rod.constants import Rod, fastest_wave, inner_strain
 from softrod_jax.rod.friction import Slid
 from softrod_jax.rod.grid import Grid
@@ -129,9 +131,9 @@ class MovingRod(NamedTuple):
     unloaded: Guess
     crossing: Float[Array, ""]
 
-    def under(self, inputs: Inputs) -> Rod:
-        """The rod under other inputs."""
-        return make_rod(self.scene, inputs, grid=self.grid, spread_fronts=True)
+    def under(self, inputs: Inputs, around: Surroundings = Surroundings()) -> Rod:
+        """The rod under other inputs, its base and obstacles elsewhere."""
+        return make_rod(self.scene, inputs, grid=self.grid, spread_fronts=True, around=around)
 
     def at_rest(self, begin: Beginning | None, good) -> State:
         """Before the first step: in the equilibrium `begin`, or unloaded if `None`.
@@ -198,15 +200,14 @@ class MovingRod(NamedTuple):
         good = jnp.all(jnp.isfinite(begin.strain))
         return jax.tree.map(lambda a, b: jnp.where(good, a, b), begin.slid, unslid)
 
-    def solve(self, c0, history: Fields, inputs: Inputs, good, slid, progress: Progress):
-        """The fields where y_t = c0 y + `history`, and the progress with them.
-
-        `slid`: how tendons had slid when the substep began.
-        """
-        rod = self.under(inputs).having_slid(slid)
+    def solve(self, c0, history: Fields, rod: Rod, good, progress: Progress):
+        """The fields where y_t = c0 y + `history`, and the progress with them."""
         # After a failure, an unloaded rod at rest costs a batch no iterations.
         alive = progress.result == RESULTS.successful
         rod = scaled_loads(rod, jnp.where(alive, 1.0, 0.0))
+        if rod.base_velocity is not None:
+            moving = jnp.where(alive, rod.base_velocity, 0.0)
+            rod = dataclasses.replace(rod, base_velocity=moving)
         usable = alive & (progress.c0 == c0)
         slowed = slow_unless(alive, History(c0, *history))
         if progress.stage is None:
@@ -266,15 +267,21 @@ class MovingRod(NamedTuple):
 
         def solve(c0, history, at, progress):
             # Not above 1 by rounding: a tension that falls to zero would become negative.
-            now = inputs.at(jnp.minimum(first + at * part, 1.0), rise)
-            return self.solve(c0, history, now, inputs.good, state.progress.slid, progress)
+            here = jnp.minimum(first + at * part, 1.0)
+            rod = self.under(inputs.at(here, rise), inputs.courses.at(here, self.dt))
+            rod = rod.having_slid(state.progress.slid)
+            return self.solve(c0, history, rod, inputs.good, progress)
 
         new_memory, after, errors = self.scheme.step(memory, coefficients, solve, progress)
         fields, errors = jax.lax.stop_gradient((new_memory[0], errors))
+        rod = self.rod
+        if inputs.courses.base is not None:
+            end = jnp.minimum(first + part, 1.0)
+            rod = self.under(inputs.at(end, rise), inputs.courses.at(end, self.dt))
         # Roots in the estimate have no slope at zero, and nothing is differentiated through it.
         time_error = jax.lax.stop_gradient(
             accumulated(
-                progress.time_error, errors, part * self.dt, fields.strain, self.rod, self.method
+                progress.time_error, errors, part * self.dt, fields.strain, rod, self.method
             )
         )
         # After a failure the rod stays where it was: its numbers stay finite.

@@ -8,18 +8,21 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
 from softrod_jax.scene.inputs import KINDS, Inputs, good_inputs, zero_unless
+from softrod_jax.stepping.courses import Courses
 
 
 class StepInputs(NamedTuple):
     """Inputs of every step: where each comes from, where it goes, and if it jumps there.
 
-    `good`: whether all can be; in the place of those that cannot are zeros.
+    `good`: whether all can be; in the place of those that cannot are zeros. `courses`: of what is
+    carried.
     """
 
     before: Inputs
     now: Inputs
     jumps: Inputs
     good: Bool[Array, "steps"]
+    courses: Courses = Courses()
 
     def at(self, progress, rise) -> Inputs:
         """The inputs of one step at `progress` in [0, 1]; those that jump rise within `rise`."""
