@@ -76,6 +76,88 @@ class _State(NamedTuple):
     reused: Bool[Array, ""]  # the factors are of another problem
 
 
+class _Problem(NamedTuple):
+    """What one search by Newton's method is about; see `newton`."""
+
+    evaluate: Callable
+    factorise: Callable
+    solve: Callable
+    scale: Any
+    options: NewtonOptions
+
+    def goes_on(self, state: _State) -> Bool[Array, ""]:
+        """Whether there is a correction to come."""
+        return state.running & (state.iterations < self.options.max_iterations)
+
+    def with_factors(self, state: _State, factors, given: bool):
+        """Corrections with one set of factors, as long as these serve, and the factors.
+
+        `given`: the factors are those of another problem where `state.reused`, else made here.
+        """
+        if given:
+            # At most once, as a branch would; but in a batch only if any of its samples needs it.
+            _, factors = jax.lax.while_loop(
+                lambda carry: carry[0],
+                lambda carry: (jnp.array(False), self.factorise(state.y)),
+                (~state.reused, factors),
+            )
+        else:
+            factors = self.factorise(state.y)
+        state = state._replace(
+            step=jax.tree.map(jnp.zeros_like, state.step),
+            fresh=jnp.array(True),
+            stale=jnp.array(False),
+        )
+        state = jax.lax.while_loop(
+            lambda s: self.goes_on(s) & ~s.stale, lambda s: self.one_pass(s, factors), state
+        )
+        return state._replace(reused=jnp.array(False)), factors
+
+    def one_pass(self, state: _State, factors) -> _State:
+        """One correction, with all that is judged by its size."""
+        options = self.options
+        y = _moved(state.y, state.step, state.damping)
+        step = self.solve(factors, self.evaluate(y))
+        size = size_of(step, self.scale)
+        full = state.fresh | (state.damping == 1.0)
+        falls = size <= (1 - state.damping / 4) * state.size
+        ratio = size / state.size
+        # What the corrections to come sum up to while each is this fraction of the last one.
+        falling = full & ~state.fresh & (ratio < 0.5)
+        left = jnp.where(falling, size * ratio / (1 - ratio), size)
+        small = left <= options.tolerance
+        at_rounding = full & (state.size <= _ROUNDING) & (size <= 10 * _ROUNDING)
+        accept = jnp.isfinite(size) & (state.fresh | falls | small | at_rounding)
+        converged = accept & full & (small | (at_rounding & ~falls & ~state.fresh))
+        # Reused factors have to show that they serve, and if not it is no fault of the problem.
+        converged &= ~state.reused | (~state.fresh & (ratio < _REUSE))
+        useless = state.reused & ~accept
+        damping = jnp.where(accept, jnp.minimum(1.0, 4 * state.damping), state.damping / 4)
+        failed = ~accept & ~useless & (state.fresh | (damping < options.smallest_damping))
+        result = jnp.where(failed, RESULTS.diverged, RESULTS.max_iterations)
+        judged = accept & ~state.fresh & (size > _ROUNDING)
+        worst = jnp.where(judged, jnp.maximum(state.contraction, ratio), state.contraction)
+        pick = lambda new, old: jax.tree.map(lambda a, b: jnp.where(accept, a, b), new, old)
+        return _State(
+            # A correction at rounding level is noise: it is not added.
+            y=pick(_moved(y, step, jnp.where(converged & small, 1.0, 0.0)), state.y),
+            step=pick(step, state.step),
+            size=pick(size, state.size),
+            damping=jnp.where(state.fresh | useless, state.damping, damping),
+            contraction=jnp.where(full, worst, jnp.inf),
+            result=jnp.where(converged, RESULTS.successful, result).astype(jnp.int32),
+            iterations=state.iterations + 1,
+            running=~converged & ~failed,
+            fresh=jnp.array(False),
+            stale=useless | (accept & ~state.fresh & ~(full & (ratio < _REUSE))),
+            reused=state.reused,
+        )
+
+
+def _moved(y, step, damping):
+    return jax.tree.map(lambda a, b: a + damping * b, y, step)
+
+
 def newton(
     evaluate: Callable,
     factorise: Callable,
@@ -100,73 +182,7 @@ def newton(
       whatever a loop carries is copied in each pass.
     """
 
-    def moved(y, step, damping):
-        return jax.tree.map(lambda a, b: a + damping * b, y, step)
-
-    def goes_on(state):
-        return state.running & (state.iterations < options.max_iterations)
-
-    # Two nested loops and no branch but one: in a batch, a branch costs every pass a Jacobian.
-    def with_factors(carry):
-        state, factors, _ = carry
-        last = ~goes_on(state)
-        if reused is None:
-            factors = factorise(state.y)
-        else:
-            # At most once, as a branch would; but in a batch only if any of its samples needs it.
-            _, factors = jax.lax.while_loop(
-                lambda carry: carry[0],
-                lambda carry: (jnp.array(False), factorise(state.y)),
-                (~state.reused, factors),
-            )
-        state = state._replace(
-            step=jax.tree.map(jnp.zeros_like, state.step),
-            fresh=jnp.array(True),
-            stale=jnp.array(False),
-        )
-        state = jax.lax.while_loop(
-            lambda s: goes_on(s) & ~s.stale, lambda s: one_pass(s, factors), state
-        )
-        return state._replace(reused=jnp.array(False)), factors if keep_factors else None, last
-
-    def one_pass(state, factors):
-        y = moved(state.y, state.step, state.damping)
-        step = solve(factors, evaluate(y))
-        size = size_of(step, scale)
-        full = state.fresh | (state.damping == 1.0)
-        falls = size <= (1 - state.damping / 4) * state.size
-        ratio = size / state.size
-        # What the corrections to come sum up to while each is this fraction of the last one.
-        falling = full & ~state.fresh & (ratio < 0.5)
-        left = jnp.where(falling, size * ratio / (1 - ratio), size)
-        small = left <= options.tolerance
-        at_rounding = full & (state.size <= _ROUNDING) & (size <= 10 * _ROUNDING)
-        accept = jnp.isfinite(size) & (state.fresh | falls | small | at_rounding)
-        converged = accept & full & (small | (at_rounding & ~falls & ~state.fresh))
-        # Reused factors have to show that they serve, and if not it is no fault of the problem.
-        converged &= ~state.reused | (~state.fresh & (ratio < _REUSE))
-        useless = state.reused & ~accept
-        damping = jnp.where(accept, jnp.minimum(1.0, 4 * state.damping), state.damping / 4)
-        failed = ~accept & ~useless & (state.fresh | (damping < options.smallest_damping))
-        result = jnp.where(failed, RESULTS.diverged, RESULTS.max_iterations)
-        judged = accept & ~state.fresh & (size > _ROUNDING)
-        worst = jnp.where(judged, jnp.maximum(state.contraction, ratio), state.contraction)
-        pick = lambda new, old: jax.tree.map(lambda a, b: jnp.where(accept, a, b), new, old)
-        return _State(
-            # A correction at rounding level is noise: it is not added.
-            y=pick(moved(y, step, jnp.where(converged & small, 1.0, 0.0)), state.y),
-            step=pick(step, state.step),
-            size=pick(size, state.size),
-            damping=jnp.where(state.fresh | useless, state.damping, damping),
-            contraction=jnp.where(full, worst, jnp.inf),
-            result=jnp.where(converged, RESULTS.successful, result).astype(jnp.int32),
-            iterations=state.iterations + 1,
-            running=~converged & ~failed,
-            fresh=jnp.array(False),
-            stale=useless | (accept & ~state.fresh & ~(full & (ratio < _REUSE))),
-            reused=state.reused,
-        )
-
+    problem = _Problem(evaluate, factorise, solve, scale, options)
     start = _State(
         y=y,
         step=jax.tree.map(jnp.zeros_like, y),
@@ -187,11 +203,16 @@ def newton(
 
     def unfinished(carry):
         state, _, last = carry
-        return goes_on(state) | ~last if exact_factors else goes_on(state)
+        return problem.goes_on(state) | ~last if exact_factors else problem.goes_on(state)
 
-    end, factors, _ = jax.lax.while_loop(
-        unfinished, with_factors, (start, factors, jnp.array(False))
-    )
+    # Two nested loops and no branch but one: in a batch, a branch costs every pass a Jacobian.
+    def go_on(carry):
+        state, factors, _ = carry
+        last = ~problem.goes_on(state)
+        state, factors = problem.with_factors(state, factors, given=reused is not None)
+        return state, factors if keep_factors else None, last
+
+    end, factors, _ = jax.lax.while_loop(unfinished, go_on, (start, factors, jnp.array(False)))
     return NewtonResult(end.y, factors, end.result, end.iterations, end.size, end.contraction)
 
 
