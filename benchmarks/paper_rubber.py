@@ -8,7 +8,6 @@ small strain. Each equilibrium is that of the one before it, pulled a little mor
 """
 
 import dataclasses
-import sys
 from pathlib import Path
 
 import jax
@@ -18,6 +17,7 @@ jax.config.update("jax_enable_x64", True)
 import jax.numpy as jnp  # noqa: E402
 import matplotlib  # noqa: E402
 import numpy as np  # noqa: E402
+from report import publish  # noqa: E402
 
 matplotlib.use("Agg")
 import matplotlib.pyplot as plt  # noqa: E402
@@ -26,7 +26,6 @@ import softrod_jax as sr  # noqa: E402
 
 E, STEPS, MOST = 5e4, 60, 3.0
 FIGURE = Path(__file__).parent / "figures" / "paper_rubber.png"
-PAGE = Path(__file__).parents[1] / "docs" / "pages" / "materials.md"
 LAWS = {
     "linear": None,
     "neo-Hookean": sr.NeoHookean(E / 3),
@@ -81,14 +80,8 @@ def main() -> None:
     head = ["| law | pulled by | stretch of the axis | turn of the tip | fibres |"]
     head += ["| --- | --- | --- | --- | --- |"]
     table = "\n".join(head + [row(*x) for x in paths.items()])
-    print(table)
     draw(paths)
-    if "--write-docs" in sys.argv:
-        text = PAGE.read_text(encoding="utf-8")
-        begin, end = "<!-- rubber: begin -->", "<!-- rubber: end -->"
-        before, rest = text.split(begin)
-        after = rest.split(end)[1]
-        PAGE.write_text(f"{before}{begin}\n{table}\n{end}{after}", encoding="utf-8")
+    publish("rubber", "materials.md", table)
 
 
 if __name__ == "__main__":

@@ -1,6 +1,6 @@
 """Error against run time: every method and scheme on five scenes, other packages beside them.
 
-    python benchmarks/work_precision.py [--write-readme] [--peers DIR] [--scenes gravity,steel]
+    python benchmarks/work_precision.py [--write-docs] [--peers DIR] [--scenes gravity,steel]
 
 On one core: `taskset -c 1 python ...` (the last line says how many it saw). DIR is where virtual
 environments of PyElastica, soromox and MuJoCo are, or will be made by pip. `--quick` takes
@@ -260,11 +260,11 @@ def main():
     parser.add_argument("--cached", action="store_true")
     parser.add_argument("--rows", type=Path, metavar="FILE")
     parser.add_argument("--figure", type=Path, default=FIGURE)
-    parser.add_argument("--write-readme", action="store_true")
+    parser.add_argument("--write-docs", action="store_true")
     options = parser.parse_args()
     names = options.scenes.split(",")
-    if options.write_readme and (options.quick or set(names) != set(CASES)):
-        parser.error("--write-readme needs all scenes and no --quick")
+    if options.write_docs and (options.quick or set(names) != set(CASES)):
+        parser.error("--write-docs needs all scenes and no --quick")
     jax.config.update("jax_enable_x64", True)
     jax.config.update("jax_enable_compilation_cache", options.cached)
     begin = time.perf_counter()
@@ -280,9 +280,15 @@ def main():
     matplotlib.use("agg")
     options.figure.parent.mkdir(exist_ok=True)
     draw(measured).savefig(options.figure, dpi=130)
-    publish("work and precision", f"{levels_table(measured, options.cached)}\n\n{machine()}.")
+    publish(
+        "work and precision",
+        "benchmarks.md",
+        f"{levels_table(measured, options.cached)}\n\n{machine()}.",
+    )
     if any(not row["family"] for row in measured.get("gravity", ([], None))[0]):
-        publish("work and precision: packages", peers_table(measured["gravity"][0]))
+        publish(
+            "work and precision: packages", "comparison.md", peers_table(measured["gravity"][0])
+        )
     print(f"{(time.perf_counter() - begin) / 60:.1f} min")
 
 

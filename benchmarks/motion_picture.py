@@ -1,6 +1,6 @@
-"""The README's picture: a robot whose three tendons are pulled in turn.
+"""The gallery's motion: a robot whose three tendons are pulled in turn.
 
-python benchmarks/readme_picture.py
+python benchmarks/motion_picture.py
 """
 
 from pathlib import Path
