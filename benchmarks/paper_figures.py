@@ -51,9 +51,11 @@ def modulus(study):
     for turn, name in ((0.25, "quarter"), (0.5, "half"), (1.0, "one"), (2.0, "two")):
         length = 2 * np.pi * turn / curvature
         plane.plot(MM * length, E * MPA, color="0.6", lw=1)
-        at = np.searchsorted(length, (0.012, 0.025, 0.05, 0.1)[int(np.log2(turn) + 2)])
+        at = np.searchsorted(length, (0.022, 0.025, 0.05, 0.1)[int(np.log2(turn) + 2)])
         at = min(at, len(E) - 1)
-        plane.annotate(f"{name} turn", (MM * length[at], E[at] * MPA), fontsize=7, color="0.4")
+        side = dict(ha="right", va="bottom") if name == "quarter" else dict(ha="left", va="top")
+        place = (MM * length[at], E[at] * MPA)
+        plane.annotate(f"{name} turn", place, fontsize=8, color="0.3", **side)
     lines = (
         (study.printed_E, "printed", "#d55e00", "-"),
         (study.moduli[1, "solid"], "3 N on one tendon", "black", "--"),

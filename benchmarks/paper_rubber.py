@@ -62,17 +62,18 @@ def row(name: str, path) -> str:
 
 
 def draw(paths) -> None:
-    figure, axes = plt.subplots(1, len(paths), figsize=(9, 3.2), sharey=True)
+    figure, axes = plt.subplots(1, len(paths), figsize=(8, 3.9), sharey=True, layout="constrained")
+    shade = plt.get_cmap("viridis_r")
     for ax, (name, path) in zip(axes, paths.items(), strict=True):
         for k in range(0, STEPS + 1, STEPS // 6):
             if int(path.result[k]) == int(sr.RESULTS.successful):
                 x, _, z = 1e3 * np.asarray(path.positions)[k].T
-                ax.plot(x, z, label=f"{MOST * k / STEPS:g} N")
+                ax.plot(x, z, color=shade(k / STEPS), label=f"{MOST * k / STEPS:g} N")
         ax.set(title=name, xlabel="x [mm]", aspect="equal", xlim=(-8, 72))
-        ax.legend(fontsize=7)
+        ax.grid(alpha=0.3)
+        ax.legend(fontsize=8)
     axes[0].set_ylabel("z [mm]")
-    figure.tight_layout()
-    figure.savefig(FIGURE, dpi=110)
+    figure.savefig(FIGURE, dpi=130)
 
 
 def main() -> None:

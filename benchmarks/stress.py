@@ -99,9 +99,9 @@ def draw(rows):
         )
         axis.scatter(column(x, bad), column(y, bad), marker="x", color="#d62728", label="no answer")
         axis.set(xscale="log", yscale="log", xlabel=x_label, ylabel=y_label)
-        axis.set_title(f"{len(here)} {NAMES[what]}")
-        if bad:
-            axis.legend(loc="upper right")
+        axis.set_title(f"{len(here)} {NAMES[what]}", loc="left")
+        if bad:  # above the points, which are everywhere
+            axis.legend(loc="lower right", bbox_to_anchor=(1.0, 0.99), frameon=False)
     bar = figure.colorbar(dots, ax=axes)
     bar.set_label("error of the tip, $\\log_{10}$ of lengths")
     return figure

@@ -7,7 +7,7 @@ A line of a page that is this comment is replaced by a whole file:
 In such files, links are relative to where they lie; in pages, one that begins with / is from the
 root of the repository. So they hold where the files are read without the site, too. Here they
 follow: to a page of the site, to a copy of a picture. Other files of the repository are not part
-of the site, and a link to one becomes its text.
+of the site, and a link to one becomes its text. Pictures open in their full size.
 """
 
 import posixpath
@@ -25,6 +25,8 @@ _FENCED = re.compile(r"(^```.*?^```$)", re.MULTILINE | re.DOTALL)
 # The text of a link may be a picture.
 _LINK = re.compile(r"(!?)\[((?:[^\[\]]|!\[[^\]]*\]\([^)]*\))*)\]\(([^)\s]+)\)")
 _SOURCE = re.compile(r'(<img[^>]*\bsrc=")([^"]+)(")')
+
+_PICTURE = re.compile(r'(<a\b[^>]*>\s*)?(<img\b[^>]*\bsrc="([^"]+)"[^>]*>)')
 
 _included = {}  # the page that a whole file is, by the file's name
 
@@ -65,6 +67,16 @@ def on_page_markdown(markdown, page, config, files):
     parts = _FENCED.split(_whole(markdown))
     parts[::2] = [_SOURCE.sub(source, _LINK.sub(link, part)) for part in parts[::2]]
     return "".join(parts)
+
+
+def on_page_content(content, page, config, files):
+    """A picture that is no link opens in its full size."""
+
+    def opened(match):
+        link, image, source = match.groups()
+        return f"{link}{image}" if link else f'<a href="{source}">{image}</a>'
+
+    return _PICTURE.sub(opened, content)
 
 
 def _whole(text: str) -> str:

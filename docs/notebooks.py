@@ -62,17 +62,27 @@ def page_of(notebook: dict, name: str) -> tuple[str, dict[str, bytes]]:
             parts.append(_LINK.sub(r"](\1.md)", source))
         elif cell["cell_type"] == "code" and source:
             parts.append(f"```python\n{source}\n```")
+        written = []
         for output in cell.get("outputs", []):
             kind, content = _shown(output)
             if kind is None:
-                parts.append(f"```text\n{content}\n```")
+                written.append(content)
             else:
+                parts += _block(written)
                 picture = f"{name}/{len(pictures) + 1}.{kind}"
                 pictures[picture] = content
                 parts.append(f"![What the code above draws]({picture})")
+        parts += _block(written)
     title, first, *others = parts[0].split("\n\n", 1) + parts[1:]
     where = f"*The notebook `notebooks/{name}.ipynb`, as it runs.*"
     return "\n\n".join([title, where, first, *others]) + "\n", pictures
+
+
+def _block(written: list[str]) -> list[str]:
+    """What was written since the last picture, as one block; leaves `written` empty."""
+    text = "\n".join(written)
+    written.clear()
+    return [f"```text\n{text}\n```"] if text else []
 
 
 def _shown(output: dict) -> tuple[str | None, str | bytes]:
@@ -85,12 +95,12 @@ def _shown(output: dict) -> tuple[str | None, str | bytes]:
 
 
 def _entry(path: Path) -> str:
-    """A notebook in the gallery: its last picture, or its film if it has one."""
+    """A notebook in the gallery: its film if it has one, or the picture with most in it."""
     text, pictures = page_of(json.loads(path.read_text(encoding="utf-8")), path.stem)
     title = text.split("\n", 1)[0].removeprefix("# ")
     _, _, first, *_ = text.split("\n\n")
     films = [name for name in pictures if name.endswith(".gif")]
-    picture = [*films, *list(pictures)[::-1]][0]
+    picture = films[0] if films else max(pictures, key=lambda name: len(pictures[name]))
     page = f"notebooks/{path.stem}.md"
     image = f"[![{title}: a picture of this notebook](notebooks/{picture})]({page})"
     return f"## {title}\n\n{first}\n\n{image}\n\n[Read on]({page})"
