@@ -6,7 +6,8 @@ On one core: `taskset -c 1 python ...` (the last line says how many it saw). DIR
 environments of PyElastica, soromox and MuJoCo are, or will be made by pip. `--quick` takes
 few settings and one round: it shows that all is in place. `--cached` lets JAX keep compiled
 programs, and leaves the times of compiling out. `--rows FILE` keeps what was measured, scene by
-scene, and a later run with the same file goes on from there. About 20 minutes.
+scene, and a later run with the same file goes on from there. What the figure shows is kept beside
+it, and `--redraw` draws it again. About 20 minutes.
 
 An error is the tip's distance [m] from a solution of another method, refined until it hardly
 changes, or from an independent one where `../shared/reference` is there: the largest, and the
@@ -292,10 +293,16 @@ def main():
     parser.add_argument("--rows", type=Path, metavar="FILE")
     parser.add_argument("--figure", type=Path, default=FIGURE)
     parser.add_argument("--write-docs", action="store_true")
+    parser.add_argument("--redraw", action="store_true")
     options = parser.parse_args()
     names = options.scenes.split(",")
     if options.write_docs and (options.quick or set(names) != set(CASES)):
         parser.error("--write-docs needs all scenes and no --quick")
+    data = options.figure.with_suffix(".json")
+    if options.redraw:
+        matplotlib.use("agg")
+        draw(json.loads(data.read_text())).savefig(options.figure, dpi=130)
+        return
     jax.config.update("jax_enable_x64", True)
     jax.config.update("jax_enable_compilation_cache", options.cached)
     begin = time.perf_counter()
@@ -310,6 +317,7 @@ def main():
                 options.rows.write_text(json.dumps(measured))
     matplotlib.use("agg")
     options.figure.parent.mkdir(exist_ok=True)
+    data.write_text(json.dumps(measured))
     draw(measured).savefig(options.figure, dpi=130)
     publish(
         "work and precision",

@@ -38,9 +38,8 @@ def on_page_markdown(markdown, page, config, files):
 
 
 def _read(path: Path, execute: bool) -> dict:
-    notebook = json.loads(path.read_text(encoding="utf-8"))
     if not execute:
-        return notebook
+        return json.loads(path.read_text(encoding="utf-8"))
     try:
         import nbclient
         import nbformat
@@ -48,8 +47,9 @@ def _read(path: Path, execute: bool) -> dict:
         raise PluginError(
             'EXECUTE_NOTEBOOKS needs the extra: pip install -e ".[docs,notebooks]"'
         ) from None
-    fresh = nbformat.from_dict(notebook)
-    nbclient.NotebookClient(fresh, timeout=1200, resources={"metadata": {"path": FOLDER}}).execute()
+    fresh = nbformat.read(path, as_version=4)
+    where = {"metadata": {"path": str(path.parent)}}
+    nbclient.NotebookClient(fresh, timeout=1200, resources=where).execute()
     return json.loads(nbformat.writes(fresh))
 
 

@@ -17,6 +17,9 @@ import calibration
 pytest.importorskip("mkdocs", reason='needs the extra: pip install -e ".[docs]"')
 
 ROOT = Path(__file__).parents[2]
+sys.path.insert(0, str(ROOT / "docs"))
+
+import notebooks  # noqa: E402
 
 
 def public_names():
@@ -155,6 +158,21 @@ def test_notebooks_show_their_pictures_and_are_in_the_gallery(site):
         assert page.count(f'src="{path.stem}/') == len(pictures) > 0, path
         assert f'href="notebooks/{path.stem}.html"' in gallery
         assert f'src="notebooks/{path.stem}/' in gallery
+
+
+def test_notebooks_are_executed_where_that_is_asked(tmp_path):
+    nbformat = pytest.importorskip("nbformat")
+    pytest.importorskip("ipykernel")
+    cells = [nbformat.v4.new_markdown_cell("# Sum\n\nOf two [numbers](other.ipynb).")]
+    cells.append(nbformat.v4.new_code_cell("print(20 + 2)\nprint('and so on')"))
+    cells[1].outputs = [nbformat.v4.new_output("stream", text="22, as committed\n")]
+    path = tmp_path / "sum.ipynb"
+    nbformat.write(nbformat.v4.new_notebook(cells=cells), path)
+    page, pictures = notebooks.page_of(notebooks._read(path, execute=False), "sum")
+    assert page.startswith("# Sum\n\n*The notebook") and "[numbers](other.md)" in page
+    assert page.endswith("```text\n22, as committed\n```\n") and pictures == {}
+    page, _ = notebooks.page_of(notebooks._read(path, execute=True), "sum")
+    assert page.endswith("```text\n22\nand so on\n```\n")
 
 
 def test_every_public_name_is_in_the_reference(site):
