@@ -1,6 +1,6 @@
 """Errors of the tip against refined solutions: methods along the rod, and time steps.
 
-    python benchmarks/accuracy.py [--write-readme]
+    python benchmarks/accuracy.py [--write-docs]
 
 The robot of `softrod_jax.hybrid_robot`, 0.1 m long. An error is the largest distance of the tip
 [m] from the refined solution. Some minutes on two cores, most of it compiling.
@@ -166,6 +166,6 @@ def _name(x) -> str:
 
 if __name__ == "__main__":
     jax.config.update("jax_enable_x64", True)
-    publish("accuracy: methods", methods())
-    publish("accuracy: time steps", f"{time_steps()}\n\n{machine()}.")
-    publish("accuracy: tendons", tendons())
+    publish("accuracy: methods", "settings.md", methods())
+    publish("accuracy: time steps", "settings.md", f"{time_steps()}\n\n{machine()}.")
+    publish("accuracy: tendons", "settings.md", tendons())

@@ -1,6 +1,6 @@
 """Many rods at once: the time of a step of one rod, alone and in batches.
 
-    python benchmarks/batches.py [--sizes 1 16 256] [--write-readme]
+    python benchmarks/batches.py [--sizes 1 16 256] [--write-docs]
 
 Random tensions on all three tendons of `hybrid_robot` and a random pressure rise within 75 ms,
 gravity and drag act, a step is 15 ms. Batches by `jax.vmap` on one device, and by `sr.spread` on
@@ -81,7 +81,7 @@ def main():
     parser = argparse.ArgumentParser()
     default = [1, *4 ** np.arange(2, 9)] if on_gpu else [1, 16, 256]
     parser.add_argument("--sizes", type=int, nargs="+", default=default)
-    parser.add_argument("--write-readme", action="store_true")
+    parser.add_argument("--write-docs", action="store_true")
     sizes = parser.parse_args().sizes
     few = actuations(max(sizes))
     exact = jnp.stack([tip(few[0][k], few[1][k], **REFINED) for k in range(min(4, max(sizes)))])
@@ -105,7 +105,7 @@ def main():
         "times real time",
     ]
     where = f"{machine()}, {jax.device_count()} of `{jax.devices()[0].device_kind}`"
-    publish("batches", f"{table(header, rows)}\n\n{where}.")
+    publish("batches", "benchmarks.md", f"{table(header, rows)}\n\n{where}.")
 
 
 if __name__ == "__main__":

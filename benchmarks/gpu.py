@@ -59,7 +59,8 @@ import numpy as np
 from gpu_jobs import Report
 from gpu_programs import JUDGED, SIZES, STEPS, refined
 from gpu_run import Run
-from gpu_tables import render, write_page
+from gpu_tables import render
+from report import put
 
 
 def main(arguments: list[str] | None = None) -> list[dict]:
@@ -102,7 +103,7 @@ def finish(rows: list[dict], write: bool) -> list[dict]:
     text = render(rows)
     print(text, flush=True)
     if write:
-        write_page(text)
+        put("gpu", "gpu.md", text)
     return rows
 
 

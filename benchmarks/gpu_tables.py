@@ -1,11 +1,7 @@
 """A run on a GPU as tables, in Markdown."""
 
-from pathlib import Path
-
 from gpu_programs import KINDS, SETTINGS
 from report import table
-
-PAGE = Path(__file__).parents[1] / "docs" / "pages" / "gpu.md"
 
 
 def render(rows: list[dict]) -> str:
@@ -146,11 +142,3 @@ def _loops(row: dict) -> str:
             f"{row['moving']:.3g} s; measured {row['seconds']:.3g} s."
         )
     return text
-
-
-def write_page(text: str) -> None:
-    begin, end = "<!-- gpu: begin -->\n", "\n<!-- gpu: end -->"
-    content = PAGE.read_text(encoding="utf-8")
-    before, rest = content.split(begin)
-    _, after = rest.split(end)
-    PAGE.write_text(f"{before}{begin}{text}{end}{after}", encoding="utf-8")

@@ -1,14 +1,14 @@
 """Random motions at the default settings, judged by an independent explicit code.
 
     python benchmarks/judge_motion.py [--motions 120] [--seed 0] [--tips FILE] [--rows FILE]
-        [--write-readme]
+        [--write-docs]
 
 Every motion has 40 steps. They span length 0.03 to 0.5 m, slenderness L/r 9 to 90, Young's modulus
 1e5 to 1e11 Pa, damping ratios of the first mode 1e-4 to 0.2, 5 to 50 steps in its period; tensions
 that jump, ramp, saw, pulse, are let go or jump twice, gravity, tip loads, payloads and drag. The
 judge is `explicit_rod.py` on two grids, extrapolated; the change by that is how well it knows.
 Tips of the judge are kept in --tips, and found again there; rows in --rows, where those of several
-seeds may be. The table is of all of them, and goes into the README with --write-readme.
+seeds may be. The table is of all of them, and goes into the documentation with --write-docs.
 """
 
 import argparse
@@ -228,7 +228,7 @@ def main():
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--tips", type=Path)
     parser.add_argument("--rows", type=Path)
-    parser.add_argument("--write-readme", action="store_true")
+    parser.add_argument("--write-docs", action="store_true")
     options = parser.parse_args()
     rows = []
     if options.rows and options.rows.exists():
@@ -243,7 +243,7 @@ def main():
         if options.rows:
             with options.rows.open("a") as file:
                 file.write(json.dumps(row) + "\n")
-    publish("judged motions", f"{summary(rows)}\n\n{machine()}.")
+    publish("judged motions", "reliability.md", f"{summary(rows)}\n\n{machine()}.")
 
 
 if __name__ == "__main__":

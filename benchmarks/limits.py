@@ -1,6 +1,6 @@
 """What bounds a step: the arithmetic of its parts, and what this device can do at most.
 
-    python benchmarks/limits.py [--sizes 1 16 64] [--profile FOLDER] [--write-readme]
+    python benchmarks/limits.py [--sizes 1 16 64] [--profile FOLDER] [--write-docs]
 
 Newton's method along the rod has three parts: the equations are evaluated, new factors of their
 Jacobian are made, and a correction follows from both. Counted are the operations of the traced
@@ -167,7 +167,7 @@ def main() -> None:
     default = [1, 256, 4096, 65536] if on_gpu else [1, 16, 64]
     parser.add_argument("--sizes", type=int, nargs="+", default=default)
     parser.add_argument("--profile")
-    parser.add_argument("--write-readme", action="store_true")
+    parser.add_argument("--write-docs", action="store_true")
     options = parser.parse_args()
     rows = []
     for name, (function, arguments) in parts().items():
@@ -188,7 +188,7 @@ def main() -> None:
     _, (_, factors, _) = parts()["correction"]
     kept = f"The factors of a rod: {sum(x.nbytes for x in jax.tree.leaves(factors)) / 1e6:.2f} MB."
     where = f"{machine()}, `{jax.devices()[0].device_kind}`"
-    publish("limits", f"{table(header, rows)}\n\n{kept} At most: {can}. {where}.")
+    publish("limits", "benchmarks.md", f"{table(header, rows)}\n\n{kept} At most: {can}. {where}.")
     if options.profile:
         profile(options.profile, max(options.sizes))
 

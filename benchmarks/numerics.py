@@ -1,14 +1,13 @@
 """What each part of the numerics does, by leaving it out: errors and counts, no times.
 
-    python benchmarks/numerics.py [--write-readme]
+    python benchmarks/numerics.py [--write-docs]
 
 The robot of `softrod_jax.hybrid_robot`, 0.1 m long. The tables are those of the page on numerics in
-`docs/pages/numerics.md`, and go there with --write-readme. Parts are left out by patches, as a
+`docs/pages/numerics.md`, and go there with --write-docs. Parts are left out by patches, as a
 user could not. Some minutes on one core, most of it compiling.
 """
 
 from contextlib import ExitStack, contextmanager
-from pathlib import Path
 from unittest import mock
 
 import jax
@@ -26,7 +25,6 @@ from softrod_jax.rod import constants as rod
 from softrod_jax.rod.state import History, Layout
 from softrod_jax.stepping import moving_rod
 
-PAGE = Path(__file__).parents[1] / "docs" / "pages" / "numerics.md"
 L = 0.1
 DURATION, FINEST = 0.4, 2.5e-3  # s
 
@@ -272,14 +270,14 @@ def grid_estimates() -> str:
 
 
 def main():
-    publish("sweeps", sweeps(), PAGE)
+    publish("sweeps", "numerics.md", sweeps())
     fine, _ = gravity_step(FINEST, scheme=sr.SDIRK(4))
-    publish("time estimates", time_estimates(fine), PAGE)
-    publish("stopping", stopping(fine), PAGE)
-    publish("restarts", restarts(fine), PAGE)
-    publish("reuse", reuse(), PAGE)
-    publish("hard jumps", hard_jumps(), PAGE)
-    publish("grid estimates", grid_estimates(), PAGE)
+    publish("time estimates", "numerics.md", time_estimates(fine))
+    publish("stopping", "numerics.md", stopping(fine))
+    publish("restarts", "numerics.md", restarts(fine))
+    publish("reuse", "numerics.md", reuse())
+    publish("hard jumps", "numerics.md", hard_jumps())
+    publish("grid estimates", "numerics.md", grid_estimates())
     print(machine())
 
 

@@ -1,8 +1,8 @@
 """The article's robot again: Table 2, Figures 6 to 9, and what of its text agrees.
 
-    python benchmarks/paper.py [--quick] [--write-readme]
+    python benchmarks/paper.py [--quick] [--write-docs]
 
-H. Roshanfar et al., Actuators 2024, 13(1):8, doi:10.3390/act13010008. `TEXT` is quoted from it;
+M. Roshanfar et al., Actuators 2024, 13(1):8, doi:10.3390/act13010008. `TEXT` is quoted from it;
 all else is computed by paper_study.py. Draws benchmarks/figures/paper_*.png. Some minutes on one
 core; --quick: coarser batches, no loads at the tip.
 """
@@ -244,7 +244,7 @@ def main(size: Size = FULL, directory: Path = FIGURES) -> tuple[Study, list[Clai
     directory.mkdir(exist_ok=True)
     paper_figures.draw(x, directory)
     body = table(["the article", "here", ""], [list(row) for row in rows])
-    publish("paper", f"{body}\n\n{machine()}.")
+    publish("paper", "article.md", f"{body}\n\n{machine()}.")
     return x, rows
 
 

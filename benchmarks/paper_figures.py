@@ -51,9 +51,11 @@ def modulus(study):
     for turn, name in ((0.25, "quarter"), (0.5, "half"), (1.0, "one"), (2.0, "two")):
         length = 2 * np.pi * turn / curvature
         plane.plot(MM * length, E * MPA, color="0.6", lw=1)
-        at = np.searchsorted(length, (0.012, 0.025, 0.05, 0.1)[int(np.log2(turn) + 2)])
+        at = np.searchsorted(length, (0.022, 0.025, 0.05, 0.1)[int(np.log2(turn) + 2)])
         at = min(at, len(E) - 1)
-        plane.annotate(f"{name} turn", (MM * length[at], E[at] * MPA), fontsize=7, color="0.4")
+        side = dict(ha="right", va="bottom") if name == "quarter" else dict(ha="left", va="top")
+        place = (MM * length[at], E[at] * MPA)
+        plane.annotate(f"{name} turn", place, fontsize=8, color="0.3", **side)
     lines = (
         (study.printed_E, "printed", "#d55e00", "-"),
         (study.moduli[1, "solid"], "3 N on one tendon", "black", "--"),
@@ -75,14 +77,14 @@ def modulus(study):
 
 def shapes(study):
     """Figure 6: the robot at rest and with each tendon at 3 N, at 10 kPa."""
-    figure = plt.figure(figsize=(13, 3.6))
+    figure = plt.figure(figsize=(8.5, 6.4))
     titles = "(a) no tension", "(b) tendon 1, 3 N", "(c) tendon 2, 3 N", "(d) tendon 3, 3 N"
     for k, title in enumerate(titles):
-        axes = _space(figure, (1, 4, k + 1), title)
+        axes = _space(figure, (2, 2, k + 1), title)
         at = (0, 1, 0) if k == 0 else (k - 1, 1, -1)
         _robot(axes, study.stated, at, study)
     figure.suptitle(f"E = {study.stated_E * MPA:.2f} MPa, 10 kPa", fontsize=10)
-    figure.subplots_adjust(0.0, 0.04, 0.96, 0.9, 0.12)
+    figure.subplots_adjust(0.0, 0.04, 0.96, 0.97, 0.0, 0.08)
     return figure
 
 
@@ -112,7 +114,7 @@ def path(study):
 
 def workspace(study):
     """Figure 8: the tips of the fifteen experiments, and of all tensions together."""
-    figure = plt.figure(figsize=(13, 4))
+    figure = plt.figure(figsize=(11.5, 3.9))
     tests = _space(figure, (1, 3, 1), "(a) fifteen experiments")
     for i, colour in enumerate(COLOURS):
         for pressure in range(5):
@@ -172,7 +174,7 @@ def _space(figure, place, title):
     axes.set(xticks=(-50, 0, 50), yticks=(-50, 0, 50), zticks=(0, 50, 100))
     axes.set(xlabel="x [mm]", ylabel="y [mm]", zlabel="z [mm]")
     axes.tick_params(labelsize=7)
-    axes.set_title(title, fontsize=9)
+    axes.set_title(title, fontsize=9, y=0.93)
     axes.view_init(elev=22, azim=-80)
     return axes
 

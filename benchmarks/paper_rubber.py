@@ -8,7 +8,6 @@ small strain. Each equilibrium is that of the one before it, pulled a little mor
 """
 
 import dataclasses
-import sys
 from pathlib import Path
 
 import jax
@@ -18,6 +17,7 @@ jax.config.update("jax_enable_x64", True)
 import jax.numpy as jnp  # noqa: E402
 import matplotlib  # noqa: E402
 import numpy as np  # noqa: E402
+from report import publish  # noqa: E402
 
 matplotlib.use("Agg")
 import matplotlib.pyplot as plt  # noqa: E402
@@ -26,7 +26,6 @@ import softrod_jax as sr  # noqa: E402
 
 E, STEPS, MOST = 5e4, 60, 3.0
 FIGURE = Path(__file__).parent / "figures" / "paper_rubber.png"
-PAGE = Path(__file__).parents[1] / "docs" / "pages" / "materials.md"
 LAWS = {
     "linear": None,
     "neo-Hookean": sr.NeoHookean(E / 3),
@@ -63,17 +62,18 @@ def row(name: str, path) -> str:
 
 
 def draw(paths) -> None:
-    figure, axes = plt.subplots(1, len(paths), figsize=(9, 3.2), sharey=True)
+    figure, axes = plt.subplots(1, len(paths), figsize=(8, 3.9), sharey=True, layout="constrained")
+    shade = plt.get_cmap("viridis_r")
     for ax, (name, path) in zip(axes, paths.items(), strict=True):
         for k in range(0, STEPS + 1, STEPS // 6):
             if int(path.result[k]) == int(sr.RESULTS.successful):
                 x, _, z = 1e3 * np.asarray(path.positions)[k].T
-                ax.plot(x, z, label=f"{MOST * k / STEPS:g} N")
+                ax.plot(x, z, color=shade(k / STEPS), label=f"{MOST * k / STEPS:g} N")
         ax.set(title=name, xlabel="x [mm]", aspect="equal", xlim=(-8, 72))
-        ax.legend(fontsize=7)
+        ax.grid(alpha=0.3)
+        ax.legend(fontsize=8)
     axes[0].set_ylabel("z [mm]")
-    figure.tight_layout()
-    figure.savefig(FIGURE, dpi=110)
+    figure.savefig(FIGURE, dpi=130)
 
 
 def main() -> None:
@@ -81,14 +81,8 @@ def main() -> None:
     head = ["| law | pulled by | stretch of the axis | turn of the tip | fibres |"]
     head += ["| --- | --- | --- | --- | --- |"]
     table = "\n".join(head + [row(*x) for x in paths.items()])
-    print(table)
     draw(paths)
-    if "--write-docs" in sys.argv:
-        text = PAGE.read_text(encoding="utf-8")
-        begin, end = "<!-- rubber: begin -->", "<!-- rubber: end -->"
-        before, rest = text.split(begin)
-        after = rest.split(end)[1]
-        PAGE.write_text(f"{before}{begin}\n{table}\n{end}{after}", encoding="utf-8")
+    publish("rubber", "materials.md", table)
 
 
 if __name__ == "__main__":

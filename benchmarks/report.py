@@ -1,4 +1,4 @@
-"""What the benchmarks share: the machine's name, tables, and their place in the README."""
+"""What the benchmarks share: the machine's name, tables, and their place in the docs."""
 
 import os
 import platform
@@ -6,7 +6,7 @@ import sys
 from importlib.metadata import version
 from pathlib import Path
 
-README = Path(__file__).parents[1] / "README.md"
+PAGES = Path(__file__).parents[1] / "docs" / "pages"
 
 
 def machine() -> str:
@@ -32,15 +32,23 @@ def table(header: list[str], rows: list[list[str]]) -> str:
     return "\n".join("| " + " | ".join(line) + " |" for line in lines)
 
 
-def publish(name: str, text: str, page: Path = README) -> None:
-    """Print `text`; with --write-readme put it between the markers of this name in `page`."""
+def publish(name: str, page: str, text: str) -> None:
+    """Print `text`; with --write-docs put it between the markers of this name in `page`."""
     print(text)
-    if "--write-readme" not in sys.argv[1:]:
-        return
+    if "--write-docs" in sys.argv[1:]:
+        put(name, page, text)
+
+
+def put(name: str, page: str, text: str) -> None:
+    """`text` between the markers of this name in a page of the documentation.
+
+    Raises `ValueError` if the page does not have both markers once.
+    """
+    path = PAGES / page
     begin, end = f"<!-- {name}: begin -->\n", f"\n<!-- {name}: end -->"
-    content = page.read_text(encoding="utf-8")
+    content = path.read_text(encoding="utf-8")
     if content.count(begin) != 1 or content.count(end) != 1:
-        raise ValueError(f"{page}: the markers {begin.strip()} and {end.strip()} are needed once")
+        raise ValueError(f"{path}: the markers {begin.strip()} and {end.strip()} are needed once")
     before, rest = content.split(begin)
     _, after = rest.split(end)
-    page.write_text(f"{before}{begin}{text}{end}{after}", encoding="utf-8")
+    path.write_text(f"{before}{begin}{text}{end}{after}", encoding="utf-8")

@@ -1,6 +1,6 @@
 """What the safeguards cost on an ordinary scene: a plain solver beside the real one.
 
-    python benchmarks/safeguards.py [--write-readme]
+    python benchmarks/safeguards.py [--write-docs]
 
 The robot of `softrod_jax.hybrid_robot` at dt = 15 ms, under gravity alone and with a tendon. The
 plain solver is the same without continuation behind Newton's method, without estimates of the
@@ -94,7 +94,7 @@ def main():
             ratio = f"{middle:.2f} ({low:.2f}, {high:.2f})"
             rows.append([f"`{name}`", where, f"{bare:.2f}", f"{safe:.2f}", ratio])
     header = ["scheme", "scene", "plain [ms a step]", "real", "ratio (quartiles)"]
-    publish("safeguards", f"{table(header, rows)}\n\n{machine()}.")
+    publish("safeguards", "reliability.md", f"{table(header, rows)}\n\n{machine()}.")
 
 
 if __name__ == "__main__":

@@ -1,6 +1,6 @@
 """Weak scaling: more devices and as many more rods, in one process and in several.
 
-    python benchmarks/scaling.py [--rods 64] [--write-readme]
+    python benchmarks/scaling.py [--rods 64] [--write-docs]
 
 `sr.spread` over the devices of one process, and over processes that `jax.distributed` connects on
 this machine. The motions of `benchmarks/batches.py`, so many `--rods` for each device; the time
@@ -90,7 +90,7 @@ def measure(processes: int, devices: int, rods: int) -> tuple[np.ndarray, np.nda
 def main():
     parser = argparse.ArgumentParser()
     parser.add_argument("--rods", type=int, default=64)
-    parser.add_argument("--write-readme", action="store_true")
+    parser.add_argument("--write-docs", action="store_true")
     rods = parser.parse_args().rods
     taken = {arrangement: [] for arrangement in ARRANGEMENTS}
     for _ in range(ROUNDS):
@@ -116,7 +116,7 @@ def main():
         "rods a second",
         "efficiency",
     ]
-    publish("scaling", f"{table(header, rows)}\n\n{machine()}.")
+    publish("scaling", "benchmarks.md", f"{table(header, rows)}\n\n{machine()}.")
 
 
 if __name__ == "__main__":

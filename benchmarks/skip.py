@@ -1,6 +1,6 @@
 """What each part of a scene costs: a full scene, and the same without one part at a time.
 
-    python benchmarks/skip.py [--write-readme]
+    python benchmarks/skip.py [--write-docs]
 
 A part that is absent from a scene is not in the program. Counted are the equations of the traced
 program (jaxpr) and the unknowns at each point along the rod; measured, the time to compile and
@@ -162,7 +162,7 @@ def main() -> None:
         rows[name].append(f"{1e3 * np.median(times) / count:.2g}")
     header = ["", "equations traced", "unknowns a point", "compile [s]", "evaluations a step"]
     text = table([*header, "step [ms]"], [[name, *row] for name, row in rows.items()])
-    publish("skip", f"{text}\n\n{machine()}.")
+    publish("skip", "benchmarks.md", f"{text}\n\n{machine()}.")
 
 
 if __name__ == "__main__":

@@ -1,7 +1,7 @@
 """Stress test: random scenes far beyond the ordinary, each against a better solution.
 
     python benchmarks/stress.py [--equilibria 2000] [--motions 500] [--seed 0] [--judge 2000]
-        [--processes 2] [--rows FILE] [--only K,K,..] [--details] [--write-readme]
+        [--processes 2] [--rows FILE] [--only K,K,..] [--details] [--write-docs]
 
 Equilibria are those of `stress_equilibria.py`: the first --judge of them are judged by an
 independent solver, the others by a finer grid. Motions are those of `stress_motions.py`, compared
@@ -9,8 +9,8 @@ with a refined run of the same code; `judge_motion.py` is their independent judg
 both by kind, and the worst.
 
 Scenes that have no answer, a wrong one, or take long are printed; in the end, counts. With
---write-readme the map and the counts go into the README. --rows keeps each scene's row in a file,
-and a later run with the same file goes on from there.
+--write-docs the map and the counts go into the documentation. --rows keeps each scene's row in a
+file, and a later run with the same file goes on from there.
 """
 
 import argparse
@@ -99,9 +99,9 @@ def draw(rows):
         )
         axis.scatter(column(x, bad), column(y, bad), marker="x", color="#d62728", label="no answer")
         axis.set(xscale="log", yscale="log", xlabel=x_label, ylabel=y_label)
-        axis.set_title(f"{len(here)} {NAMES[what]}")
-        if bad:
-            axis.legend(loc="upper right")
+        axis.set_title(f"{len(here)} {NAMES[what]}", loc="left")
+        if bad:  # above the points, which are everywhere
+            axis.legend(loc="lower right", bbox_to_anchor=(1.0, 0.99), frameon=False)
     bar = figure.colorbar(dots, ax=axes)
     bar.set_label("error of the tip, $\\log_{10}$ of lengths")
     return figure
@@ -169,7 +169,7 @@ def main():
     parser.add_argument("--rows", type=Path)
     parser.add_argument("--only", type=lambda text: [int(k) for k in text.split(",")])
     parser.add_argument("--details", action="store_true")
-    parser.add_argument("--write-readme", action="store_true")
+    parser.add_argument("--write-docs", action="store_true")
     options = parser.parse_args()
     rows, begin = [], time.perf_counter()
     if options.rows and options.rows.exists():
@@ -188,10 +188,10 @@ def main():
         for what, kind in KINDS.items():
             here = [row for row in rows if row["what"] == what]
             print(kind.details(here) if here else "")
-    if options.write_readme:
+    if options.write_docs:
         matplotlib.use("agg")
         draw(rows).savefig(FIGURE, dpi=130)
-    publish("stress", f"{summary(rows)}\n\n{machine()}.")
+    publish("stress", "reliability.md", f"{summary(rows)}\n\n{machine()}.")
 
 
 if __name__ == "__main__":

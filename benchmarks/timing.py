@@ -1,6 +1,6 @@
 """Times of a static solve, of a step of a motion and of gradients, with and without tendons.
 
-    python benchmarks/timing.py [--write-readme]
+    python benchmarks/timing.py [--write-docs]
 
 The robot of `softrod_jax.hybrid_robot` under transverse gravity, 100 steps of 15 ms; with
 tendons, one of the three pulls with 0.1 N. Medians of interleaved repeats. Compilation is
@@ -133,7 +133,7 @@ def main() -> None:
     ]
     header = ["", "no tendons [ms]", "tendons [ms]", "compile [s]", "compile, tendons [s]"]
     first = table(["first call, tendons", "[s]", "with a cache on disk [s]"], first_calls())
-    publish("timing", f"{table(header, rows)}\n\n{first}\n\n{machine()}.")
+    publish("timing", "benchmarks.md", f"{table(header, rows)}\n\n{first}\n\n{machine()}.")
 
 
 if __name__ == "__main__":

@@ -1,12 +1,13 @@
 """Error against run time: every method and scheme on five scenes, other packages beside them.
 
-    python benchmarks/work_precision.py [--write-readme] [--peers DIR] [--scenes gravity,steel]
+    python benchmarks/work_precision.py [--write-docs] [--peers DIR] [--scenes gravity,steel]
 
 On one core: `taskset -c 1 python ...` (the last line says how many it saw). DIR is where virtual
 environments of PyElastica, soromox and MuJoCo are, or will be made by pip. `--quick` takes
 few settings and one round: it shows that all is in place. `--cached` lets JAX keep compiled
 programs, and leaves the times of compiling out. `--rows FILE` keeps what was measured, scene by
-scene, and a later run with the same file goes on from there. About 20 minutes.
+scene, and a later run with the same file goes on from there. What the figure shows is kept beside
+it, and `--redraw` draws it again. About 20 minutes.
 
 An error is the tip's distance [m] from a solution of another method, refined until it hardly
 changes, or from an independent one where `../shared/reference` is there: the largest, and the
@@ -32,8 +33,22 @@ import softrod_jax as sr
 
 FIGURE = Path(__file__).parent / "figures" / "work_precision.png"
 ROUNDS = 5
-PEER_LABELS = """★ other packages: M MuJoCo (step in ms), P PyElastica (elements),
-S soromox (segments), E explicit finite differences (elements)"""
+PEER_LABELS = (
+    "★ other packages: M MuJoCo (step in ms), P PyElastica (elements), S soromox (segments), "
+    "E explicit finite differences (elements)"
+)
+# Schemes in time and, for equilibria, methods along the rod, each with a colour.
+SCHEMES = [f"SDIRK({k})" for k in ("4", "3", "3, stages=6", "2")]
+SCHEMES += [f"BDFAlpha({a})" for a in ("-0.45", "-0.2", "0")]
+METHODS = ["order 6", "order 4", "shooting, Tsit5", "shooting, Bosh3", "shooting, Dopri8"]
+METHODS += ["single shooting, Tsit5", "shooting, Heun"]
+COLOURS = ["#d55e00", "#0072b2", "#009e73", "#cc79a7", "#000000", "#999999", "#c9a400"]
+DASHES = {  # by what the name of a line has in it; the first that fits
+    "loose": ("--", "^"),
+    "shooting": (":", "v"),
+    "order 4": ("-.", "s"),
+    "order 6": ("-", "o"),
+}
 IN_TABLE = ("M20", "M2", "P10", "P50", "S1", "S8", "E50", "E330")
 LEAST = 0.02  # s: shorter programs run several times a round
 
@@ -212,31 +227,47 @@ def _milliseconds(seconds) -> str:
     return f"{value:.2g}" if value < 100 else f"{value:.0f}"
 
 
+def look(family: str) -> dict:
+    """How a line is drawn: its colour is the scheme, its dashes what is along the rod.
+
+    Equilibria have no scheme: there the method along the rod is the colour.
+    """
+    place = METHODS.index(family) if family in METHODS else SCHEMES.index(scheme_of(family))
+    line, marker = next(look for part, look in DASHES.items() if part in family)
+    return dict(color=COLOURS[place], ls=line, marker=marker)
+
+
+def scheme_of(family: str) -> str:
+    """The scheme in time that the name of a family of settings begins with."""
+    return next(scheme for scheme in SCHEMES if family.startswith(f"{scheme}, "))
+
+
 def draw(measured):
     """One panel a case; a line for each family, and the other packages by their labels."""
     import matplotlib.pyplot as plt
 
     measured = {name: found for name, found in measured.items() if CASES[name]().drawn}
-    figure, axes = plt.subplots(2, 3, figsize=(11, 7.4), layout="constrained")
+    figure, axes = plt.subplots(2, 3, figsize=(11, 7.8), layout="constrained")
     panels = list(axes.flat)
-    families = dict.fromkeys(r["family"] for rows, _ in measured.values() for r in rows)
-    families = [family for family in families if family]
-    colours = plt.get_cmap("tab20").colors
-    styles = {
-        family: dict(color=colours[k % 20], marker="osD^v<>"[k // 20 + k % 7], ls="-")
-        for k, family in enumerate(families)
-    }
     handles = {}
     for panel, (name, (rows, (known, _))) in zip(panels, measured.items(), strict=False):
-        for family in families:
+        lines = {}
+        for family in dict.fromkeys(row["family"] for row in rows if row["family"]):
             here = sorted((r["time"], r["largest"]) for r in rows if r["family"] == family)
-            if here:
-                x, y = zip(*here, strict=True)
-                (handles[family],) = panel.plot(x, y, ms=4, lw=1, **styles[family])
+            x, y = zip(*here, strict=True)
+            (lines[family],) = panel.plot(x, y, ms=4, lw=1.1, **look(family))
+        if CASES[name]().duration is None:
+            panel.legend(lines.values(), lines, fontsize=8)
+        else:
+            handles |= lines
         for row in (r for r in rows if not r["family"]):
             panel.plot(row["time"], row["largest"], "k*", ms=6)
+            # Those of MuJoCo and PyElastica are close to each other.
+            below = dict(xytext=(0, -4), va="top", ha="center")
+            beside = dict(xytext=(4, 3))
+            place = below if row["label"].startswith("M") else beside
             spot = (row["time"], row["largest"])
-            panel.annotate(row["label"], spot, (3, 3), textcoords="offset points", fontsize=8)
+            panel.annotate(row["label"], spot, textcoords="offset points", fontsize=8, **place)
         panel.axhspan(min(known, panel.get_ylim()[0]), known, color="0.9", zorder=0)
         panel.set(xscale="log", yscale="log", title=CASES[name]().title)
         panel.set(xlabel="time of a run [s]", ylabel="largest error of the tip [m]")
@@ -246,9 +277,10 @@ def draw(measured):
     for panel in panels[len(measured) :]:
         panel.axis("off")
     if len(measured) < len(panels):
-        legend = panels[-1].legend(handles.values(), handles, loc="upper center", fontsize=7.5)
-        legend.set_title("method along the rod: order of Collocation")
-        panels[-1].text(0.5, 0.0, PEER_LABELS, ha="center", va="bottom", fontsize=7.5)
+        order = sorted(handles, key=lambda family: (SCHEMES.index(scheme_of(family)), family))
+        key = panels[-1].legend([handles[f] for f in order], order, loc="upper left", fontsize=8.5)
+        key.set_title("motions: scheme in time, along the rod", prop={"size": 9})
+        figure.supxlabel(PEER_LABELS, fontsize=9)
     return figure
 
 
@@ -260,11 +292,17 @@ def main():
     parser.add_argument("--cached", action="store_true")
     parser.add_argument("--rows", type=Path, metavar="FILE")
     parser.add_argument("--figure", type=Path, default=FIGURE)
-    parser.add_argument("--write-readme", action="store_true")
+    parser.add_argument("--write-docs", action="store_true")
+    parser.add_argument("--redraw", action="store_true")
     options = parser.parse_args()
     names = options.scenes.split(",")
-    if options.write_readme and (options.quick or set(names) != set(CASES)):
-        parser.error("--write-readme needs all scenes and no --quick")
+    if options.write_docs and (options.quick or set(names) != set(CASES)):
+        parser.error("--write-docs needs all scenes and no --quick")
+    data = options.figure.with_suffix(".json")
+    if options.redraw:
+        matplotlib.use("agg")
+        draw(json.loads(data.read_text())).savefig(options.figure, dpi=130)
+        return
     jax.config.update("jax_enable_x64", True)
     jax.config.update("jax_enable_compilation_cache", options.cached)
     begin = time.perf_counter()
@@ -279,10 +317,17 @@ def main():
                 options.rows.write_text(json.dumps(measured))
     matplotlib.use("agg")
     options.figure.parent.mkdir(exist_ok=True)
+    data.write_text(json.dumps(measured))
     draw(measured).savefig(options.figure, dpi=130)
-    publish("work and precision", f"{levels_table(measured, options.cached)}\n\n{machine()}.")
+    publish(
+        "work and precision",
+        "benchmarks.md",
+        f"{levels_table(measured, options.cached)}\n\n{machine()}.",
+    )
     if any(not row["family"] for row in measured.get("gravity", ([], None))[0]):
-        publish("work and precision: packages", peers_table(measured["gravity"][0]))
+        publish(
+            "work and precision: packages", "comparison.md", peers_table(measured["gravity"][0])
+        )
     print(f"{(time.perf_counter() - begin) / 60:.1f} min")
 
 

@@ -73,7 +73,7 @@ class Case:
     - `duration` [s]: None for an equilibrium. The tip is compared every `sample` [ms].
     - `fine`: refined solutions, of different methods; the distance of the two says how well the
       first is known. `reference`: the name of an independent motion, used where it is there.
-    - `levels`: errors [m] at which the README names the fastest setting.
+    - `levels`: errors [m] at which the table names the fastest setting.
     """
 
     title: str

@@ -42,7 +42,7 @@ def public_names(package: str) -> dict[str, str]:
 def on_files(files, config):
     _placed.clear()
     for file in files.documentation_pages():
-        text = Path(file.abs_src_path).read_text(encoding="utf-8")
+        text = file.content_string
         for package, homes in _COMMENT.findall(text):
             _placed.update((package, home) for home in homes.split())
     return files

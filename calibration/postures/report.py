@@ -107,6 +107,13 @@ def _rms(fit: PostureFit, rows):
     return np.sqrt(np.nanmean(_apart(fit)[rows] ** 2))
 
 
+def _by_row(fit: PostureFit):
+    """Root mean square distance [m] of the markers of each row; nan where none was seen whole."""
+    squares = _apart(fit) ** 2
+    seen = np.sum(np.isfinite(squares), axis=1)
+    return np.sqrt(np.where(seen > 0, np.nansum(squares, axis=1) / np.maximum(seen, 1), np.nan))
+
+
 def _in_space(fit: PostureFit) -> Figure:
     figure = Figure(figsize=(10, 4.2), layout="constrained")
     for k, (a, b) in enumerate(((0, 2), (1, 2)), 1):
@@ -144,8 +151,8 @@ def _saved(figure: Figure, path: Path) -> Path:
 
 
 def _html(fit: PostureFit, pictures) -> str:
-    apart = np.sqrt(np.nanmean(_apart(fit) ** 2, axis=1))
-    worst = np.argsort(np.nan_to_num(apart, nan=-1.0))[::-1][:_WORST]
+    apart = _by_row(fit)
+    worst = [k for k in np.argsort(apart)[::-1] if np.isfinite(apart[k])][:_WORST]
     labels = fit.postures.labels
     parts = [
         "<!doctype html><html lang='en'><meta charset='utf-8'><title>Calibration</title>",

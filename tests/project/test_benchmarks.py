@@ -1,4 +1,4 @@
-"""The benchmarks: what they select and count. Their numbers are in the README."""
+"""The benchmarks: what they select and count. Their tables are in the docs."""
 
 import sys
 from pathlib import Path
@@ -11,6 +11,7 @@ import pytest
 sys.path.insert(0, str(Path(__file__).parents[2] / "benchmarks"))
 
 import limits  # noqa: E402
+import report  # noqa: E402
 import skip  # noqa: E402
 import work_precision  # noqa: E402
 import work_scenes  # noqa: E402
@@ -74,3 +75,17 @@ def test_operations_are_counted():
     assert count(jax.jit(twice), x) == 7 * 12
     with pytest.raises(ValueError, match="while"):
         count(lambda x: jax.lax.while_loop(lambda x: x[0, 0] < 1, lambda x: 2 * x, x), x)
+
+
+def test_tables_go_between_their_markers(tmp_path, monkeypatch, capsys):
+    page = tmp_path / "page.md"
+    page.write_text("before\n<!-- times: begin -->\nold\n<!-- times: end -->\nafter\n")
+    monkeypatch.setattr(report, "PAGES", tmp_path)
+    monkeypatch.setattr(sys, "argv", ["timing.py"])
+    report.publish("times", "page.md", "new")
+    assert "old" in page.read_text() and capsys.readouterr().out == "new\n"
+    sys.argv.append("--write-docs")
+    report.publish("times", "page.md", "new")
+    assert page.read_text() == ("before\n<!-- times: begin -->\nnew\n<!-- times: end -->\nafter\n")
+    with pytest.raises(ValueError, match="sizes: begin"):
+        report.publish("sizes", "page.md", "new")

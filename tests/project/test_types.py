@@ -13,7 +13,7 @@ import jax.numpy as jnp
 import jaxtyping
 import numpy as np
 import pytest
-from test_readme import blocks
+from snippets import blocks
 
 import softrod_jax as sr
 from softrod_jax.rod.rotations import quaternion_exp
@@ -30,11 +30,15 @@ def found(*command):
     return "" if done.returncode == 0 else done.stdout + done.stderr
 
 
-def test_pyright_finds_nothing_in_the_packages_and_the_readme(tmp_path):
+def test_pyright_finds_nothing_in_the_packages_and_the_pages(tmp_path):
+    """Nor in the snippets of each page, one after the other."""
     pytest.importorskip("pyright")
-    snippets = tmp_path / "readme.py"
-    snippets.write_text("".join(blocks("python")), encoding="utf-8")
-    checked = ("softrod_jax", "calibration", str(snippets))
+    for page in (ROOT / "README.md", *ROOT.glob("docs/pages/**/*.md")):
+        if code := [block.text for block in blocks(page, "python")]:
+            name = page.relative_to(ROOT).with_suffix(".py").as_posix().replace("/", "_")
+            (tmp_path / name).write_text("\n".join(code), encoding="utf-8")
+    assert len(list(tmp_path.iterdir())) > 5
+    checked = ("softrod_jax", "calibration", str(tmp_path))
     assert found("pyright", "--pythonpath", sys.executable, *checked) == ""
 
 

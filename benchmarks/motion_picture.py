@@ -1,6 +1,6 @@
-"""The README's picture: a robot whose three tendons are pulled in turn.
+"""The gallery's motion: a robot whose three tendons are pulled in turn.
 
-python benchmarks/readme_picture.py
+python benchmarks/motion_picture.py
 """
 
 from pathlib import Path
@@ -35,7 +35,7 @@ def draw(trajectory):
     figure = plt.figure(figsize=(9.5, 4))
     shade = matplotlib.cm.ScalarMappable(plt.Normalize(0, ts[-1]), "viridis")
 
-    space = figure.add_axes([0.0, 0.02, 0.45, 0.98], projection="3d")
+    space = figure.add_axes([0.0, 0.02, 0.44, 0.98], projection="3d")
     for k in range(0, len(ts), BETWEEN_SHAPES):
         x, y, z = shapes[k].T
         space.plot(x, y, z, color=shade.to_rgba(ts[k]), lw=1.6)
@@ -43,17 +43,18 @@ def draw(trajectory):
     space.set(xlabel="x [mm]", ylabel="y [mm]", zlabel="z [mm]")
     space.set(xlim=(-60, 60), ylim=(-60, 60), zlim=(105, 0), box_aspect=(120, 120, 105))
     space.set(xticks=(-50, 0, 50), yticks=(-50, 0, 50), zticks=(0, 50, 100))
+    space.zaxis.labelpad = 3
     space.view_init(elev=16, azim=-60)
-    bar = figure.add_axes([0.49, 0.25, 0.012, 0.5])
+    bar = figure.add_axes([0.53, 0.25, 0.012, 0.5])
     figure.colorbar(shade, cax=bar, label="time [s]")
 
-    place = {"left": 0.65, "right": 0.985, "top": 0.96, "bottom": 0.14, "hspace": 0.18}
+    place = {"left": 0.68, "right": 0.985, "top": 0.96, "bottom": 0.14, "hspace": 0.18}
     rows = figure.subplots(3, 1, sharex=True, gridspec_kw=place)
     for row, (name, colour), values in zip(rows, COLOURS.items(), tip.T, strict=True):
         row.plot(ts, values, color=colour)
         row.set_ylabel(f"tip {name} [mm]")
         row.grid(alpha=0.3)
-    rows[-1].set_xlabel("time [s]")
+    rows[-1].set(xlabel="time [s]", xticks=(0, 0.3, 0.6, 0.9, 1.2))
     figure.align_ylabels(rows)
     return figure
 
