@@ -10,10 +10,11 @@ import os
 import re
 import sys
 
-from calibration.cli import calibrate, doctor, plot, simulate, solve
+from calibration.cli import calibrate, doctor, init, plot, simulate, solve
 from calibration.cli.common import UsageError
 
 COMMANDS = {
+    "init": init,
     "solve": solve,
     "simulate": simulate,
     "plot": plot,
