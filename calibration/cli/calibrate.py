@@ -11,6 +11,7 @@ from pathlib import Path
 
 from calibration.cli.common import (
     UsageError,
+    add_mapping,
     bound_in,
     names_in,
     note,
@@ -147,7 +148,7 @@ def _add_search(search) -> None:
 
 def _add_data(data) -> None:
     """How the recordings are read, and what of them is used."""
-    data.add_argument("--mapping", metavar="FILE.toml", help="which columns of the logs are what")
+    add_mapping(data)
     data.add_argument(
         "--condition",
         metavar="NAME=V1,V2,..",
@@ -294,6 +295,7 @@ def _drift(text: str) -> tuple[str, float]:
 
 def _recordings(args, paths, scene):
     from calibration import load_recording
+    from calibration.data.loading import mapping_beside
 
     options = {
         name: value
@@ -312,10 +314,7 @@ def _recordings(args, paths, scene):
         raise UsageError(f"{names}: for .c3d files only, and there is none; leave it out")
     recordings = []
     for path, c3d in zip(paths, is_c3d, strict=True):
-        mapping = args.mapping
-        beside = Path(path).with_suffix(".map.toml")
-        if mapping is None and beside.exists():
-            mapping = beside
+        mapping = args.mapping or mapping_beside(path)
         own = options if c3d and mapping is None else {}
         recordings.append(load_recording(path, scene, mapping=mapping, **own))
     return recordings

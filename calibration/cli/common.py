@@ -133,6 +133,16 @@ def add_actuation(parser: argparse.ArgumentParser) -> None:
         parser.add_argument(f"--{name}", type=number, nargs="+", metavar=letter, help=helps[name])
 
 
+def add_mapping(parser) -> None:
+    """The option --mapping, of what reads logs."""
+    parser.add_argument(
+        "--mapping",
+        metavar="FILE.toml",
+        help="which columns of the log are what (default: LOG.map.toml beside LOG, if it is "
+        "there); `softrod import LOG` writes it",
+    )
+
+
 def given_inputs(args) -> list[str]:
     """Those of the options of `add_actuation` that are on the command line."""
     from softrod_jax.scene.inputs import KINDS

@@ -10,11 +10,12 @@ import os
 import re
 import sys
 
-from calibration.cli import calibrate, doctor, init, plot, simulate, solve
+from calibration.cli import calibrate, doctor, importing, init, plot, simulate, solve
 from calibration.cli.common import UsageError
 
 COMMANDS = {
     "init": init,
+    "import": importing,
     "solve": solve,
     "simulate": simulate,
     "plot": plot,

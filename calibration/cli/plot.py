@@ -18,6 +18,7 @@ from calibration.cli.common import (
     actuation,
     add_actuation,
     add_grid,
+    add_mapping,
     check_writable,
     given_inputs,
     grid,
@@ -38,6 +39,7 @@ def add_arguments(parser) -> None:
     parser.add_argument(
         "files", nargs="+", metavar="FILE", help="SCENE.toml, LOG.csv, or one of each"
     )
+    add_mapping(parser)
     parser.add_argument(
         "--out",
         metavar="FILE",
@@ -80,7 +82,7 @@ def run(args) -> int:
         from calibration.data.loading import load_recording
         from calibration.report.log_plot import log_figure
 
-        _save(log_figure(load_recording(log_path)), out)
+        _save(log_figure(load_recording(log_path, mapping=args.mapping)), out)
         return _written(out)
     prepare_jax()
     import softrod_jax as sr
@@ -123,7 +125,9 @@ def _check_options(args, scene_path, log_path, out, kind) -> None:
     }
     rods = {"--intervals": args.intervals, "--tolerance": args.tolerance}
     film = {"--speed": args.speed, "--fps": args.fps}
+    mapping = {"--mapping": args.mapping}
     for allowed, options, remedy in (
+        (log_path is not None, mapping, "for a log only"),
         (log_path is None, inputs, "the log gives the inputs, or is drawn as it is"),
         (moves, steps, "for a scene and a log only"),
         (scene_path is not None, rods, "for a scene only"),
@@ -157,7 +161,7 @@ def _draw_motion(args, scene, log_path, out, kind) -> int:
     from calibration.report.log_plot import log_figure
     from softrod_jax.pictures import animate
 
-    log = load_recording(log_path, scene, need_tip=False)
+    log = load_recording(log_path, scene, mapping=args.mapping, need_tip=False)
     if len(log.times) < 2:
         raise UsageError(f"{log_path}: one row is no motion; to draw a rod at rest, leave it out")
     if args.dt is None:

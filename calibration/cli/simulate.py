@@ -15,6 +15,7 @@ from calibration.cli.common import (
     actuation,
     add_actuation,
     add_grid,
+    add_mapping,
     check_writable,
     given_inputs,
     grid,
@@ -40,6 +41,7 @@ def add_arguments(parser) -> None:
         metavar="INPUT.csv",
         help="inputs from this log: linear in time, a step takes the value at its end",
     )
+    add_mapping(parser)
     add_actuation(parser)
     parser.add_argument("--dt", type=positive, required=True, metavar="S", help="time step [s]")
     parser.add_argument(
@@ -172,6 +174,8 @@ def _inputs(args, scene) -> tuple[int, Any]:
     from softrod_jax.scene.inputs import Inputs
 
     if args.log is None:
+        if args.mapping is not None:
+            raise UsageError("--mapping: how to read a --log; give one, or leave it out")
         if args.duration is None:
             raise UsageError("--duration is needed (only a --log has one of its own)")
         steps = _whole_steps(args, args.duration)
@@ -183,7 +187,7 @@ def _inputs(args, scene) -> tuple[int, Any]:
         )
     from calibration.data.loading import load_recording
 
-    log = load_recording(args.log, scene, need_tip=False)
+    log = load_recording(args.log, scene, mapping=args.mapping, need_tip=False)
     for assumption in log.notes:
         note(f"--log {args.log}: {assumption}")
     clock = log.times - log.times[0]
