@@ -81,7 +81,7 @@ def intervals(text: str) -> int:
     return int(value)
 
 
-def add_grid(parser: argparse.ArgumentParser, tolerance: str) -> None:
+def add_grid(parser, tolerance: str) -> None:
     """The options --intervals and --tolerance, of which the latter does `tolerance`."""
     parser.add_argument(
         "--intervals",

@@ -10,7 +10,7 @@ import os
 import re
 import sys
 
-from calibration.cli import calibrate, doctor, importing, init, plot, simulate, solve
+from calibration.cli import calibrate, doctor, film, importing, init, plot, simulate, solve
 from calibration.cli.common import UsageError
 
 COMMANDS = {
@@ -19,6 +19,7 @@ COMMANDS = {
     "solve": solve,
     "simulate": simulate,
     "plot": plot,
+    "film": film,
     "calibrate": calibrate,
     "doctor": doctor,
 }

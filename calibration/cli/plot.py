@@ -87,10 +87,9 @@ def run(args) -> int:
     prepare_jax()
     import softrod_jax as sr
 
-    scene = sr.load_scene(scene_path)
     if log_path is None:
-        return _draw_equilibrium(args, scene, out)
-    return _draw_motion(args, scene, log_path, out, kind)
+        return _draw_equilibrium(args, sr.load_scene(scene_path), out)
+    return _draw_motion(args, scene_path, log_path, out, kind)
 
 
 def _files(files) -> tuple[str | None, str | None]:
@@ -154,25 +153,15 @@ def _draw_equilibrium(args, scene, out) -> int:
     return _written(out)
 
 
-def _draw_motion(args, scene, log_path, out, kind) -> int:
-    import numpy as np
-
-    from calibration.data.loading import load_recording
+def _draw_motion(args, scene_path, log_path, out, kind) -> int:
     from calibration.report.log_plot import log_figure
     from softrod_jax.pictures import animate
 
-    log = load_recording(log_path, scene, mapping=args.mapping, need_tip=False)
-    if len(log.times) < 2:
-        raise UsageError(f"{log_path}: one row is no motion; to draw a rod at rest, leave it out")
-    if args.dt is None:
-        args.dt = float(np.median(np.diff(log.times)))
-    args.log, args.duration, args.alpha = log_path, None, None
-    motion = simulated(args, scene)
+    found = moved_by_log(args, scene_path, log_path)
+    if found is None:
+        return 1
+    scene, log, motion = found
     trajectory = motion.trajectory
-    if trajectory is None or int(trajectory.result) != 0:
-        step = 0 if trajectory is None else int(trajectory.failed_step)
-        return _failed(f"step {step}, from {step * args.dt:g} s: {motion.reason}")
-    _compare(args, log, trajectory, float(scene.length))
     if kind in _FILMS:
         tensions = _shown(motion.inputs, trajectory.tensions)
         animate(
@@ -188,6 +177,31 @@ def _draw_motion(args, scene, log_path, out, kind) -> int:
     else:
         _save(log_figure(log, scene, trajectory), out)
     return _written(out)
+
+
+def moved_by_log(args, scene_path, log_path):
+    """The scene, the log, and what `simulated` makes of its inputs; None if that failed, which is
+    then said."""
+    import numpy as np
+
+    import softrod_jax as sr
+    from calibration.data.loading import load_recording
+
+    scene = sr.load_scene(scene_path)
+    log = load_recording(log_path, scene, mapping=args.mapping, need_tip=False)
+    if len(log.times) < 2:
+        raise UsageError(f"{log_path}: one row is no motion; to draw a rod at rest, leave it out")
+    if args.dt is None:
+        args.dt = float(np.median(np.diff(log.times)))
+    args.log, args.duration, args.alpha = log_path, None, None
+    motion = simulated(args, scene)
+    trajectory = motion.trajectory
+    if trajectory is None or int(trajectory.result) != 0:
+        step = 0 if trajectory is None else int(trajectory.failed_step)
+        _failed(f"step {step}, from {step * args.dt:g} s: {motion.reason}")
+        return None
+    _compare(args, log, trajectory, float(scene.length))
+    return scene, log, motion
 
 
 def _shown(inputs, tensions):

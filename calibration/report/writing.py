@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 
 import softrod_jax as sr
+from calibration.report.films import write_films
 from calibration.report.granted import taken_for_granted
 from calibration.report.plots import write_plots
 from calibration.report.provenance import provenance
@@ -23,6 +24,8 @@ def write_report(fit: Fit, out_dir: str | PathLike) -> Path:
     - `parameters.json`: what `as_json` gives.
     - `report.html`: the same for reading, with the plots inside.
     - `scene.toml`: the scene with the fitted values, for `softrod simulate`.
+    - `film_*.html`: the rod over the measured tip, to be turned and played; `motions.npz`: what
+      `softrod film` makes others from.
     - `fit_*.png`, `residuals_*.png`, `motion_*.png`, `profile_*.png`, `convergence.png`.
 
     Raises `OSError` if a file cannot be written. The numbers are written first, and the fit's
@@ -33,7 +36,8 @@ def write_report(fit: Fit, out_dir: str | PathLike) -> Path:
     text = json.dumps(as_json(fit), indent=2, allow_nan=False)
     write_text(out / "parameters.json", text + "\n")
     pictures = write_plots(fit, out)
-    write_text(out / "report.html", _html(fit, pictures))
+    films = write_films(fit, out)
+    write_text(out / "report.html", _html(fit, pictures, films))
     sr.save_scene(fit.setup.simulated_scene(), out / "scene.toml")
     if fit.result != "interrupted":
         fit.checkpoint.remove()
@@ -183,7 +187,7 @@ img { max-width: 100%; } .no { color: #b00; } li { margin: .4em 0; } small { col
 """
 
 
-def _html(fit: Fit, pictures: dict[str, Path]) -> str:
+def _html(fit: Fit, pictures: dict[str, Path], films: dict[str, Path]) -> str:
     parts = [
         "<!doctype html><html lang='en'><meta charset='utf-8'><title>Calibration</title>",
         f"<style>{STYLE}</style><h1>Calibration</h1>",
@@ -222,6 +226,8 @@ def _html(fit: Fit, pictures: dict[str, Path]) -> str:
         *_starts(fit),
         *_explanations(fit),
     ]
+    links = (f"<a href='{escape(p.name)}'>{escape(t)}</a>" for t, p in films.items())
+    parts += ["<h2>Films</h2>", f"<p>The rod in space, to be turned: {', '.join(links)}.</p>"]
     for title, path in pictures.items():
         data = base64.b64encode(path.read_bytes()).decode()
         alt = escape(title, quote=True)
