@@ -13,6 +13,7 @@ from calibration.experiment.setup import Setup
 from calibration.inference.explain import Explanation
 from calibration.inference.profile import Profile
 from calibration.inference.uncertainty import IDENTIFIED
+from calibration.report.text import html_table, summary_text
 from calibration.search.checkpoint import Checkpoint
 from calibration.search.multistart import Start
 
@@ -156,6 +157,14 @@ class Fit:
     resolution_note: str
     checkpoint: Checkpoint
     seconds: float
+
+    def summary(self) -> str:
+        """The parameters and what is left of each recording, as lines of text."""
+        return summary_text(self)
+
+    def _repr_html_(self) -> str:
+        """What a notebook shows."""
+        return html_table(self)
 
     @property
     def rmse_m(self) -> dict[str, float]:

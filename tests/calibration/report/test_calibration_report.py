@@ -75,6 +75,16 @@ def test_films_show_the_fitted_rod_beside_the_measured_tip(plain, tmp_path):
         read_motions(tmp_path)
 
 
+def test_a_fit_shows_itself_in_a_notebook(plain):
+    text, page = plain.summary(), plain._repr_html_()
+    for label, estimate in plain.parameters.items():
+        for shown in (text, page):
+            assert label in shown and f"{estimate.value:.4g}" in shown
+    assert text == summary(plain) and "release: " in text and "mm rms" in page
+    evil = replace(plain, result=EVIL)
+    assert "<img" not in evil._repr_html_()
+
+
 def test_what_the_intervals_take_for_granted_is_said(plain):
     content = as_json(plain)
     assert "density 1070 kg/m^3" in content["taken_for_granted"]
