@@ -10,7 +10,7 @@ import os
 import re
 import sys
 
-from calibration.cli import calibrate, doctor, film, importing, init, plot, simulate, solve
+from calibration.cli import calibrate, doctor, film, importing, init, plot, simulate, solve, view
 from calibration.cli.common import UsageError
 
 COMMANDS = {
@@ -20,6 +20,7 @@ COMMANDS = {
     "simulate": simulate,
     "plot": plot,
     "film": film,
+    "view": view,
     "calibrate": calibrate,
     "doctor": doctor,
 }
