@@ -27,8 +27,7 @@ def main(scene) -> None:
     session = Session(scene)
     page = Page(session, "127.0.0.1", 8452, "view.csv")
     page.frame()  # compiles
-    kind = next(iter(session.counts))
-    slider = page.sliders[kind][0]
+    slider = next((x[0] for x in page.sliders.values() if x), page.gravity[0])
     most, begun, frames = slider.max, time.perf_counter(), 0
     while time.perf_counter() - begun < SECONDS:  # as fast as it goes
         slider.value = most * (0.25 + 0.25 * np.sin(0.05 * frames))
