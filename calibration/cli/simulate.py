@@ -26,6 +26,7 @@ from calibration.cli.common import (
     reason,
 )
 from calibration.cli.solve import UNSTABLE
+from calibration.cli.waiting import waiting
 
 # A motion is kept as a whole, on every point of its grid. More than this [bytes], or than half of
 # what the machine has, is a typing error, and would fill the memory before it is noticed.
@@ -113,15 +114,17 @@ def simulated(args, scene) -> Simulated:
             note(f"--from-static: {UNSTABLE}")
         # The motion goes on where the equilibrium was found.
         options["method"] = initial.method
-    trajectory = sr.simulate(
-        scene,
-        **_rows(inputs, slice(1, None))._asdict(),
-        steps=steps,
-        initial=initial,
-        throw=False,
-        **options,
-    )
-    return Simulated(steps, inputs, trajectory, reason(trajectory.result, moving=True))
+    with waiting(f"simulating {steps} steps of {args.dt:g} s"):
+        trajectory = sr.simulate(
+            scene,
+            **_rows(inputs, slice(1, None))._asdict(),
+            steps=steps,
+            initial=initial,
+            throw=False,
+            **options,
+        )
+        code = int(trajectory.result)  # waits for it
+    return Simulated(steps, inputs, trajectory, reason(code, moving=True))
 
 
 def run(args) -> int:
@@ -249,8 +252,8 @@ def _rows(inputs, index):
 
 def _write(path, scene, ts, inputs, tips, tracks) -> None:
     """The motion with the columns of a log of this scene: actuators not used are at zero."""
-    from calibration.data.recording import write_log
     from softrod_jax.scene.inputs import filled
+    from softrod_jax.scene.logs import write_log
 
     inputs = filled(scene, inputs, (len(ts),))._asdict()
     write_log(path, ts, **inputs, tip_positions=tips, markers=tracks)

@@ -11,7 +11,6 @@ import numpy as np
 
 from softrod_jax.scene.inputs import KINDS, Kind
 from softrod_jax.scene.logs import TIP_COLUMNS as TIP_COLUMNS
-from softrod_jax.scene.logs import write_log as write_log
 
 
 class RecordingError(ValueError):

@@ -100,8 +100,8 @@ class Page:
         for name, sliders in self.sliders.items():
             for i, slider in enumerate(sliders):
                 session.wanted[name][i] = float(slider.value) / sizes[name]
-        for i, slider in enumerate(self.gravity):
-            session.gravity[i] = float(slider.value)
+        if session.gravity is not None:
+            session.gravity[:] = [float(slider.value) for slider in self.gravity]
         for _ in range(steps):
             if not session.step():
                 message = session.message

@@ -5,6 +5,7 @@ from collections.abc import Mapping
 from os import PathLike
 from pathlib import Path
 from types import SimpleNamespace
+from typing import Any
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -143,7 +144,9 @@ class Session:
         """
         with self._lock:
             times, inputs, tips = zip(*self._rows, strict=True)
-        columns = {name: np.stack([row[name] for row in inputs]) for name in self.counts}
+        columns: dict[str, Any] = {
+            name: np.stack([row[name] for row in inputs]) for name in self.counts
+        }
         write_log(path, np.asarray(times), **columns, tip_positions=np.stack(tips))
         return Path(path)
 

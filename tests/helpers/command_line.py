@@ -30,6 +30,7 @@ def in_a_directory_of_its_own(tmp_path, monkeypatch):
     monkeypatch.setattr(common, "prepare_jax", lambda: None)
     for command in ("solve", "simulate", "plot", "film", "view", "calibrate", "doctor"):
         monkeypatch.setattr(f"calibration.cli.{command}.prepare_jax", lambda: None)
+    monkeypatch.setattr("calibration.cli.waiting.FIRST", 1e6)  # however busy the machine is
     (tmp_path / "chamber.toml").write_text(CHAMBER)
     sr.save_scene(sr.hybrid_robot(), tmp_path / "robot.toml")
 

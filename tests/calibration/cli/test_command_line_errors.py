@@ -18,7 +18,7 @@ STEP = ["--dt", "0.1", "--duration", "1"]
 
 # The command line, files that it needs, and what the message must say.
 BAD = [
-    ([], {}, ["COMMAND", "softrod --help"]),
+    (["--colour"], {}, ["COMMAND", "softrod --help"]),
     (["solv", "robot.toml"], {}, ["'solv'", "solve"]),
     (["solve"], {}, ["SCENE.toml"]),
     (["solve", "absent.toml"], {}, ["absent.toml", "No such file"]),
