@@ -123,13 +123,14 @@ def _sniffed(args, path):
     return sniff(path, delimiter, args.decimal, args.encoding, args.skip_rows)
 
 
-def _csv(args, sniffed) -> dict[str, str | int]:
+def _csv(args, sniffed) -> dict[str, str | int | bool]:
     """What the reader cannot find by itself, for the mapping."""
     keys = {
         "delimiter": {"\t": "tab", " ": "space"}.get(sniffed.delimiter or "", sniffed.delimiter),
         "decimal": sniffed.decimal,
         "encoding": args.encoding,
         "skip_rows": args.skip_rows,
+        "header": None if sniffed.header else False,
     }
     return {key: value for key, value in keys.items() if value is not None}
 

@@ -175,8 +175,8 @@ def _inputs(table: Table, found: Guess, kind: str, taken, count: int | None) -> 
     if not columns:
         return found
     if count is not None and len(columns) != count:
+        found = found.noted(f"{kind}: {len(columns)} columns, and the scene has {count}", kind)
         columns = columns[:count]
-        found = found.noted(f"{kind}: the scene has {count}", kind)
     for column in columns:
         found = input_of(table, found, kind, column)
     return found

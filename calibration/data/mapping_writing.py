@@ -9,7 +9,7 @@ from calibration.data.guesses import Guess
 def mapping_text(
     source: str,
     found: Guess,
-    csv: dict[str, str | int],
+    csv: dict[str, str | int | bool],
     notes: Sequence[str] = (),
 ) -> str:
     """The text of a mapping file for `calibration.data.mapping`.
@@ -29,7 +29,7 @@ def mapping_text(
                 {"column": _text(part.column), "unit": _text(part.unit), "scale": scale},
             )
     if csv:
-        quoted = {key: v if isinstance(v, int) else _text(v) for key, v in csv.items()}
+        quoted = {key: _text(v) if isinstance(v, str) else str(v).lower() for key, v in csv.items()}
         lines += _table("[csv]", quoted)
     return "\n".join(lines) + "\n"
 

@@ -4,13 +4,13 @@ The readers refuse what could mean two things. Here the ways of reading it are t
 file, and what was chosen is said, so that a person can contradict.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from os import PathLike
 from pathlib import Path
 
 from calibration.data.cells import NumberFormat
 from calibration.data.recording import RecordingError
-from calibration.data.table import Table
+from calibration.data.table import Table, bare_name
 from calibration.data.tables import read_table
 from calibration.data.text_files import read_lines
 from calibration.data.text_tables import TextOptions
@@ -23,12 +23,13 @@ _NAMES = {";": "semicolons", "\t": "tabs", ",": "commas", " ": "spaces"}
 class Sniffed:
     """A `table`, and how it was read: `delimiter` and `decimal` if the reader has to be told them.
 
-    `notes`: what was assumed.
+    `header`: whether it has one. `notes`: what was assumed.
     """
 
     table: Table
     delimiter: str | None = None
     decimal: str | None = None
+    header: bool = True
     notes: tuple[str, ...] = ()
 
 
@@ -45,25 +46,38 @@ def sniff(
     """
     if Path(path).suffix.lower() not in _TEXT:
         return Sniffed(read_table(path))
+    best = _best(path, delimiter, decimal, encoding, skip, header=True)
+    number = NumberFormat()
+    if all(number.looks_like_one(bare_name(column)) for column in best.table.columns):
+        best = _best(path, delimiter, decimal, encoding, skip, header=False)
+    return replace(best, notes=_notes(best))
+
+
+def _best(path, delimiter, decimal, encoding, skip, header: bool) -> Sniffed:
+    """The way of reading that leaves most numbers."""
     lines, _ = read_lines(path, encoding)
     held = [sign for sign in ";\t" if any(sign in line for line in lines[:200])]
     first, best = None, None
     for sign in [delimiter] if delimiter else [None, *held]:
         for comma in [decimal] if decimal else [None, ",", "."]:
             options = TextOptions(
-                delimiter=sign, numbers=NumberFormat(comma), encoding=encoding, skip=skip
+                delimiter=sign,
+                numbers=NumberFormat(comma),
+                encoding=encoding,
+                skip=skip,
+                header=header,
             )
             try:
                 table = read_table(path, options)
             except RecordingError as e:
                 first = first or e
                 continue
-            found = Sniffed(table, sign, comma)
+            found = Sniffed(table, sign, comma, header)
             if best is None or _badness(found) < _badness(best):
                 best = found
     if best is None:
         raise first or RecordingError(f"{path}: cannot be read as a table")
-    return Sniffed(best.table, best.delimiter, best.decimal, _notes(best))
+    return best
 
 
 def _badness(found: Sniffed) -> tuple[int, int]:
@@ -75,6 +89,8 @@ def _badness(found: Sniffed) -> tuple[int, int]:
 
 def _notes(found: Sniffed) -> tuple[str, ...]:
     notes = []
+    if not found.header:
+        notes.append("there is no header: columns are called 1, 2, ..")
     if found.delimiter is not None:
         notes.append(f"{_NAMES.get(found.delimiter, found.delimiter)} are between the cells")
     if found.decimal == ",":

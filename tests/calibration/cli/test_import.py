@@ -136,6 +136,35 @@ def test_options_say_what_columns_are(capsys):
     np.testing.assert_allclose(log.tip_positions[-1], [0.019, 0, 0.081], rtol=1e-12)
 
 
+def test_a_table_without_a_header(capsys):
+    rows = "\n".join(f"{10 * k} {k} 0 {100 - k}" for k in range(20))
+    Path("a.txt").write_text(rows)
+    argv = ["robot.toml", "a.txt", "--tip", "2", "3", "4", "--time-unit", "ms", "--no-plot"]
+    status, out, err = run(capsys, "import", *argv)
+    assert (status, err) == (0, "") and "no header" in out
+    log = load_recording("a.txt", sr.load_scene("robot.toml"))
+    np.testing.assert_allclose(log.times[-1], 0.19)
+    np.testing.assert_allclose(log.tip_positions[-1], [0.019, 0, 0.081], rtol=1e-12)
+
+
+def test_an_export_of_a_camera_system_with_a_marker_on_the_clamp(capsys):
+    """Motive, in which the rod lies along the file's -y, from the clamp at (1, 2, 0.5) m."""
+    head = [
+        "Format Version,1.23,Export Frame Rate,50.0,Rotation Type,XYZ,Length Units,Meters",
+        ",,Marker,Marker,Marker,Marker,Marker,Marker",
+        ",,base:1,base:1,base:1,tip:1,tip:1,tip:1",
+        ",,Position,Position,Position,Position,Position,Position",
+        "Frame,Time (Seconds),X,Y,Z,X,Y,Z",
+    ]
+    moved = np.clip(0.02 * (0.02 * np.arange(50) - 0.3), 0, None)
+    rows = [f"{k},{0.02 * k:.2f},1,2,0.5,{1 + x},1.9,0.5" for k, x in enumerate(moved)]
+    Path("a.csv").write_text("\n".join([*head, *rows]))
+    status, out, err = run(capsys, "import", "robot.toml", "a.csv", "--no-plot")
+    assert (status, err) == (0, "") and "the clamp is where 'base:1.X'" in out
+    log = load_recording("a.csv", sr.load_scene("robot.toml"))
+    np.testing.assert_allclose(log.tip_positions[-1], [moved[-1], 0, 0.1], atol=1e-9)
+
+
 def test_on_a_terminal_it_asks(capsys, monkeypatch):
     Path("a.csv").write_text(
         "k,x,y,z,load\n" + "\n".join(f"{10 * k},{k},0,{90 - k},{k}" for k in range(20))
