@@ -14,8 +14,8 @@ from softrod_jax.pictures import film
 from softrod_jax.scene.inputs import KINDS, Inputs
 
 MOTIONS = "motions.npz"
-# A file of motions does not grow without end: so many moments of each at most.
-_MOMENTS = 1200
+# Files do not grow without end: so many moments of each motion, and pages, at most.
+_MOMENTS, _PAGES = 600, 12
 _ARRAYS = ("ts", "positions", "quaternions", "strains", "arc_lengths", "seen_times", "seen")
 
 
@@ -50,13 +50,14 @@ def filmed(fit: Fit) -> list[Filmed]:
 
 
 def write_films(fit: Fit, directory: Path) -> dict[str, Path]:
-    """Write an HTML page of each recording, and `motions.npz`; the pages by title."""
+    """Write an HTML page of each recording, of the first twelve, and `motions.npz`; the pages by
+    title. `softrod film` makes those of others."""
     motions = filmed(fit)
     write_motions(motions, directory / MOTIONS)
     scene = fit.setup.simulated_scene()
     return {
         moved.title: write_film(scene, moved, directory / film_name(motions, k))
-        for k, moved in enumerate(motions)
+        for k, moved in enumerate(motions[:_PAGES])
     }
 
 

@@ -18,10 +18,12 @@ from typing import Any
 import numpy as np
 
 from softrod_jax.pictures.body import Body, Part, body_of, line_along
-from softrod_jax.pictures.drawing import TENDON_COLOURS, unit_of, upright
+from softrod_jax.pictures.drawing import TENDON_COLOURS as _COLOURS
+from softrod_jax.pictures.drawing import unit_of, upright
 from softrod_jax.pictures.stills import check_solved
-from softrod_jax.scene.inputs import KINDS, Inputs
+from softrod_jax.scene.inputs import KINDS, Inputs, Kind
 from softrod_jax.scene.scene import Scene
+from softrod_jax.scene.tendons import driven_by_length
 
 # More places along the rod, and more moments, are not seen; the page goes between moments by
 # straight lines.
@@ -84,6 +86,7 @@ def _content(scene: Scene, motion, inputs: Inputs, measured) -> dict[str, Any]:
         "up": [axis, sign],
         "outlines": [_ring(x) for x in body.outlines],
         "chambers": [_ring(x) for x in body.chambers],
+        "disks": [_ring(x) for x in body.disks],
         "tendons": _tendons(body),
         "size": size,
         "payload": 0.8 * size * body.radius if scene.payload is not None else 0,
@@ -99,17 +102,17 @@ def _ring(part: Part) -> dict:
     # Half of a circle's corners look round; a rectangle has four.
     rings = rings[:, ::2] if rings.shape[1] > 8 else rings
     same = np.allclose(rings, rings[:1], rtol=1e-9, atol=0)
-    return {"from": part.where.start, "to": part.where.stop,
+    return {"from": int(part.where.start), "to": int(part.where.stop),
             "rings": [_rounded(x) for x in (rings[:1] if same else rings)]}  # fmt: skip
 
 
 def _tendons(body: Body) -> list[dict]:
     return [
         {
-            "from": part.where.start,
-            "to": part.where.stop,
+            "from": int(part.where.start),
+            "to": int(part.where.stop),
             "at": _rounded(part.points[:, :2]),
-            "colour": TENDON_COLOURS[i % len(TENDON_COLOURS)],
+            "colour": _COLOURS[i % len(_COLOURS)],
         }
         for i, part in enumerate(body.tendons)
     ]
@@ -131,8 +134,17 @@ def _inputs(scene: Scene, inputs: Inputs, times: int, shown) -> list[dict]:
             )
         unit, size = kind.shown
         curves = [_rounded(size * column[shown]) for column in values.T]
-        found.append({"name": kind.one, "unit": unit, "curves": curves})
+        colours = [_COLOURS[i % len(_COLOURS)] for i in _driven(scene, kind)]
+        found.append({"name": kind.one, "unit": unit, "curves": curves, "colours": colours})
     return found
+
+
+def _driven(scene: Scene, kind: Kind) -> list[int]:
+    """The numbers of the tendons that inputs of a kind drive; none for chambers."""
+    if kind.part != "tendons" or scene.tendons is None:
+        return []
+    by_length = driven_by_length(scene.tendons)
+    return [i for i in range(scene.tendons.count) if (i in by_length) == (kind.control == "length")]
 
 
 def _seen(size: float, name: str, times, places) -> dict:

@@ -4,6 +4,7 @@ import base64
 import json
 import re
 import shutil
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -50,6 +51,21 @@ def test_the_page_holds_the_rod(tmp_path):
     assert found["inputs"][0]["curves"][1] == [0.2] * 5  # as many as there are times
     assert found["inputs"][1]["curves"] == [[20.0] * 5] and found["inputs"][1]["unit"] == "kPa"
     assert [x["at"][0] for x in found["tendons"]][0] == [4.0e-3, 0.0]
+
+
+def test_pulls_have_the_colours_of_their_tendons_and_disks_are_drawn(tmp_path):
+    scene = sr.hybrid_robot(LENGTH)
+    tendons = replace(scene.tendons, control=("length", "tension", "length"), guided=("disks",) * 3)
+    inputs = Inputs(tensions=np.ones((4, 1)), pulls=np.ones((4, 2)))
+    path = tmp_path / "a.html"
+    pictures.film(replace(scene, tendons=tendons), motion(), path, inputs)
+    found = content(path.read_text("utf-8"))
+    colours = {x["name"]: x["colours"] for x in found["inputs"]}
+    first, second, third = pictures.TENDON_COLOURS[:3]
+    assert colours == {"tension": [second], "pull": [first, third]}
+    assert len(found["disks"]) == 9
+    away = np.linalg.norm(found["disks"][0]["rings"], axis=-1)
+    np.testing.assert_allclose(away, 4.4e-3, rtol=1e-5)  # of six digits
 
 
 def test_it_needs_no_network_and_names_are_text(tmp_path):
