@@ -192,17 +192,17 @@ def _one_each(kind, values, count, scene):
     return np.array(values)
 
 
-def check_writable(path: str) -> None:
+def check_writable(path: str, option: str = "--out") -> None:
     """Raise `UsageError` if a file `path` cannot be written, before hours of computing."""
     if "\0" in path or not path:
-        raise UsageError(f"--out {path!r}: is not the name of a file")
+        raise UsageError(f"{option} {path!r}: is not the name of a file")
     target = Path(path)
     if target.is_dir():
-        raise UsageError(f"--out {path}: is a directory; give the name of a file")
+        raise UsageError(f"{option} {path}: is a directory; give the name of a file")
     if not target.parent.is_dir():
-        raise UsageError(f"--out {path}: the directory {target.parent} does not exist")
+        raise UsageError(f"{option} {path}: the directory {target.parent} does not exist")
     if not os.access(target if target.exists() else target.parent, os.W_OK):
-        raise UsageError(f"--out {path}: no permission to write there")
+        raise UsageError(f"{option} {path}: no permission to write there")
 
 
 def note(message: str) -> None:

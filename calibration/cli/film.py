@@ -64,6 +64,10 @@ def run(args) -> int:
 def _of_fit(args, directory: str) -> int:
     from calibration.report.films import film_name, read_motions, write_film
 
+    names = ("mapping", "dt", "from_static", "intervals", "tolerance")
+    given = [f"--{name.replace('_', '-')}" for name in names if getattr(args, name)]
+    if given:
+        raise UsageError(f"{', '.join(given)}: for a scene and a log only; leave it out")
     scene, motions = read_motions(directory)
     names = [moved.name for moved in motions]
     if args.recording is not None and args.recording not in names:

@@ -236,7 +236,10 @@ def _asked_for_columns(args, table, found):
 
 
 def _ask(question: str, usual: str | None) -> str:
-    answer = input(f"{question}{'' if usual is None else f' [{usual}]'}: ").strip()
+    try:
+        answer = input(f"{question}{'' if usual is None else f' [{usual}]'}: ").strip()
+    except EOFError:
+        raise UsageError(f"{question}: no answer; give it as an option, or --yes") from None
     return answer or usual or ""
 
 

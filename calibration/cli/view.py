@@ -28,7 +28,7 @@ def add_arguments(parser) -> None:
 
 
 def run(args) -> int:
-    check_writable(args.log)
+    check_writable(args.log, "--log")
     prepare_jax()
     import softrod_jax as sr
 
