@@ -11,18 +11,18 @@ if TYPE_CHECKING:
     from calibration.data.onset import detect_onset as detect_onset
     from calibration.data.recording import Recording as Recording
     from calibration.data.recording import RecordingError as RecordingError
-    from calibration.data.recording import write_log as write_log
     from calibration.fit import calibrate as calibrate
     from calibration.report.results import Estimate as Estimate
     from calibration.report.results import Fit as Fit
     from calibration.report.writing import write_report as write_report
     from calibration.search.minimum import CalibrationError as CalibrationError
+    from softrod_jax.scene.logs import write_log as write_log
 
 _HOME = {
     "Recording": "calibration.data.recording",
     "RecordingError": "calibration.data.recording",
     "load_recording": "calibration.data.loading",
-    "write_log": "calibration.data.recording",
+    "write_log": "softrod_jax.scene.logs",
     "detect_onset": "calibration.data.onset",
     "calibrate": "calibration.fit",
     "CalibrationError": "calibration.search.minimum",

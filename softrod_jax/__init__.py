@@ -53,5 +53,6 @@ from softrod_jax.statics import solve_static as solve_static
 from softrod_jax.statics import tendon_pulls as tendon_pulls
 from softrod_jax.stepping.bdf_alpha import BDFAlpha as BDFAlpha
 from softrod_jax.stepping.sdirk import SDIRK as SDIRK
+from softrod_jax.viewing import view as view
 
 __version__ = "0.1.0"  # the one place: pyproject.toml reads it

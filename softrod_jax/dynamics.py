@@ -43,6 +43,7 @@ from softrod_jax.stepping.scheme import AbstractTimeScheme
 from softrod_jax.stepping.sdirk import SDIRK
 from softrod_jax.stepping.step_control import advice, run_checked, run_within
 from softrod_jax.stepping.substeps import MOST_SUBSTEPS
+from softrod_jax.tables import motion_dataset, motion_frame
 
 
 class Track(eqx.Module):
@@ -91,6 +92,14 @@ class Trajectory(eqx.Module):
     result: Int[Array, ""]
     failed_step: Int[Array, ""]
     stats: dict
+
+    def to_pandas(self):
+        """A `pandas.DataFrame` with a row for each time (`softrod_jax.tables`); extra `tables`."""
+        return motion_frame(self)
+
+    def to_xarray(self):
+        """An `xarray.Dataset` of the whole rod (`softrod_jax.tables`); extra `tables`."""
+        return motion_dataset(self)
 
 
 def simulate(

@@ -6,11 +6,14 @@ beside LOG whose name is LOG's with .map.toml in place of its ending is used for
 """
 
 import argparse
+import contextlib
+import sys
 from dataclasses import replace
 from pathlib import Path
 
 from calibration.cli.common import (
     UsageError,
+    add_mapping,
     bound_in,
     names_in,
     note,
@@ -19,9 +22,21 @@ from calibration.cli.common import (
     prepare_jax,
 )
 from calibration.cli.exclusive import alone_in
+from calibration.cli.waiting import waiting
+from calibration.parameters.names import NAMES
 
 _EXAMPLE = Path(__file__).parents[1] / "examples"
 _DEFAULT_OUT = "softrod-calibration"
+_CHECKPOINT = "checkpoint.json"
+_RESUME = "interrupted; the same command with --resume goes on from here"
+EPILOG = (
+    "what can be fitted, of what the scene has, by name:\n"
+    + "\n".join(f"  {name:24}{words}" for name, words in NAMES.items())
+    + (
+        "\nand any number of the scene by its path in the file, such as segments[1].young_modulus "
+        "or tendons[*].friction"
+    )
+)
 
 
 def _count(text: str) -> int:
@@ -46,7 +61,7 @@ def _add_what(parser) -> None:
     parser.add_argument(
         "--fit",
         metavar="NAME,..",
-        help="parameters to fit (default: those of young_modulus, bending_damping and "
+        help="parameters to fit, see below (default: those of young_modulus, bending_damping and "
         "drag_coefficient that the scene has)",
     )
     parser.add_argument(
@@ -147,7 +162,7 @@ def _add_search(search) -> None:
 
 def _add_data(data) -> None:
     """How the recordings are read, and what of them is used."""
-    data.add_argument("--mapping", metavar="FILE.toml", help="which columns of the logs are what")
+    add_mapping(data)
     data.add_argument(
         "--condition",
         metavar="NAME=V1,V2,..",
@@ -242,14 +257,22 @@ def run(args) -> int:
         if args.look:
             print(f"the recordings are in {picture}")
             return 0
-        fit = _fitted(args, scene, recordings, held_out, out)
+        try:
+            # Where there is a terminal, a bar tells more.
+            said = contextlib.nullcontext() if sys.stderr.isatty() else waiting("fitting")
+            with said:
+                fit = _fitted(args, scene, recordings, held_out, out)
+        except KeyboardInterrupt:
+            if (out / _CHECKPOINT).exists():
+                note(_RESUME)
+            raise
         write_report(fit, out)
     if args.json:
         print((out / "parameters.json").read_text(encoding="utf-8"))
     else:
         print(f"\n{summary(fit)}\nparameters, report and plots are in {out}")
     if fit.result == "interrupted":
-        note("interrupted; the same command with --resume goes on from here")
+        note(_RESUME)
     return 0
 
 
@@ -278,7 +301,7 @@ def _fitted(args, scene, recordings, held_out, out: Path):
         dt=args.dt,
         tolerance=args.tolerance,
         method=method,
-        checkpoint=out / "checkpoint.json",
+        checkpoint=out / _CHECKPOINT,
         resume=args.resume,
         progress=True,
     )
@@ -294,6 +317,7 @@ def _drift(text: str) -> tuple[str, float]:
 
 def _recordings(args, paths, scene):
     from calibration import load_recording
+    from calibration.data.loading import mapping_beside
 
     options = {
         name: value
@@ -312,10 +336,7 @@ def _recordings(args, paths, scene):
         raise UsageError(f"{names}: for .c3d files only, and there is none; leave it out")
     recordings = []
     for path, c3d in zip(paths, is_c3d, strict=True):
-        mapping = args.mapping
-        beside = Path(path).with_suffix(".map.toml")
-        if mapping is None and beside.exists():
-            mapping = beside
+        mapping = args.mapping or mapping_beside(path)
         own = options if c3d and mapping is None else {}
         recordings.append(load_recording(path, scene, mapping=mapping, **own))
     return recordings

@@ -81,7 +81,7 @@ def intervals(text: str) -> int:
     return int(value)
 
 
-def add_grid(parser: argparse.ArgumentParser, tolerance: str) -> None:
+def add_grid(parser, tolerance: str) -> None:
     """The options --intervals and --tolerance, of which the latter does `tolerance`."""
     parser.add_argument(
         "--intervals",
@@ -133,6 +133,16 @@ def add_actuation(parser: argparse.ArgumentParser) -> None:
         parser.add_argument(f"--{name}", type=number, nargs="+", metavar=letter, help=helps[name])
 
 
+def add_mapping(parser) -> None:
+    """The option --mapping, of what reads logs."""
+    parser.add_argument(
+        "--mapping",
+        metavar="FILE.toml",
+        help="which columns of the log are what (default: LOG.map.toml beside LOG, if it is "
+        "there); `softrod import LOG` writes it",
+    )
+
+
 def given_inputs(args) -> list[str]:
     """Those of the options of `add_actuation` that are on the command line."""
     from softrod_jax.scene.inputs import KINDS
@@ -182,17 +192,17 @@ def _one_each(kind, values, count, scene):
     return np.array(values)
 
 
-def check_writable(path: str) -> None:
+def check_writable(path: str, option: str = "--out") -> None:
     """Raise `UsageError` if a file `path` cannot be written, before hours of computing."""
     if "\0" in path or not path:
-        raise UsageError(f"--out {path!r}: is not the name of a file")
+        raise UsageError(f"{option} {path!r}: is not the name of a file")
     target = Path(path)
     if target.is_dir():
-        raise UsageError(f"--out {path}: is a directory; give the name of a file")
+        raise UsageError(f"{option} {path}: is a directory; give the name of a file")
     if not target.parent.is_dir():
-        raise UsageError(f"--out {path}: the directory {target.parent} does not exist")
+        raise UsageError(f"{option} {path}: the directory {target.parent} does not exist")
     if not os.access(target if target.exists() else target.parent, os.W_OK):
-        raise UsageError(f"--out {path}: no permission to write there")
+        raise UsageError(f"{option} {path}: no permission to write there")
 
 
 def note(message: str) -> None:

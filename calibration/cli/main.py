@@ -1,4 +1,4 @@
-"""`softrod`: one command, five subcommands, and the one place that turns errors into words.
+"""`softrod`: one command, its subcommands, and the one place that turns errors into words.
 
 Exit status: 0 done, 1 the computation did not succeed, 2 bad input. Results go to stdout,
 `softrod: error: ..` and notes to stderr. JAX is imported by the commands that compute, so that
@@ -10,13 +10,18 @@ import os
 import re
 import sys
 
-from calibration.cli import calibrate, doctor, plot, simulate, solve
+from calibration.cli import calibrate, doctor, film, importing, init, plot, simulate, solve, view
 from calibration.cli.common import UsageError
+from calibration.cli.order import positions_first
 
 COMMANDS = {
+    "init": init,
+    "import": importing,
     "solve": solve,
     "simulate": simulate,
     "plot": plot,
+    "film": film,
+    "view": view,
     "calibrate": calibrate,
     "doctor": doctor,
 }
@@ -37,10 +42,19 @@ class _Parser(argparse.ArgumentParser):
 def main(argv: list[str] | None = None) -> int:
     """Run the command line `argv` (`sys.argv[1:]` if None) and return the exit status.
 
-    `--help` raises `SystemExit(0)`, as usual with argparse.
+    `--help` and `--version` raise `SystemExit(0)`, as usual with argparse.
     """
     try:
-        args = _parser().parse_args(argv)
+        words = sys.argv[1:] if argv is None else list(argv)
+        parser, commands = _parsers()
+        if not words:
+            parser.print_help()
+            return 0
+        if words[0] in commands:
+            command = commands[words[0]]
+            args = command.parse_args(positions_first(command, words[1:]))
+        else:
+            args = parser.parse_args(words)
         status = args.run(args)
         sys.stdout.flush()
         return status
@@ -61,23 +75,41 @@ def main(argv: list[str] | None = None) -> int:
         return 130
 
 
-def _parser() -> argparse.ArgumentParser:
+class _Version(argparse.Action):
+    """Looks the version up only when it is asked for."""
+
+    def __call__(self, parser, *_):
+        from importlib.metadata import PackageNotFoundError, version
+
+        try:
+            print(f"softrod {version('softrod_jax')}")
+        except PackageNotFoundError:
+            print("softrod, not installed")
+        parser.exit()
+
+
+def _parsers() -> tuple[argparse.ArgumentParser, dict[str, argparse.ArgumentParser]]:
+    """The parser of the whole command line, and those of the commands."""
     parser = _Parser(
         prog="softrod",
         description="Soft robots as Cosserat rods: statics, dynamics and calibration.",
         epilog="`softrod COMMAND --help` describes one command.",
     )
+    parser.add_argument("--version", action=_Version, nargs=0, help="print the version")
+    found = {}
     commands = parser.add_subparsers(title="commands", metavar="COMMAND", required=True)
     for name, command in COMMANDS.items():
         sub = commands.add_parser(
             name,
             help=(command.__doc__ or "").split("\n", 1)[0],
             description=command.__doc__,
+            epilog=getattr(command, "EPILOG", None),
             formatter_class=argparse.RawDescriptionHelpFormatter,
         )
         command.add_arguments(sub)
         sub.set_defaults(run=command.run)
-    return parser
+        found[name] = sub
+    return parser, found
 
 
 def _fail(message: str) -> int:

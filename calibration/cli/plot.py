@@ -18,6 +18,7 @@ from calibration.cli.common import (
     actuation,
     add_actuation,
     add_grid,
+    add_mapping,
     check_writable,
     given_inputs,
     grid,
@@ -38,6 +39,7 @@ def add_arguments(parser) -> None:
     parser.add_argument(
         "files", nargs="+", metavar="FILE", help="SCENE.toml, LOG.csv, or one of each"
     )
+    add_mapping(parser)
     parser.add_argument(
         "--out",
         metavar="FILE",
@@ -80,15 +82,14 @@ def run(args) -> int:
         from calibration.data.loading import load_recording
         from calibration.report.log_plot import log_figure
 
-        _save(log_figure(load_recording(log_path)), out)
+        _save(log_figure(load_recording(log_path, mapping=args.mapping)), out)
         return _written(out)
     prepare_jax()
     import softrod_jax as sr
 
-    scene = sr.load_scene(scene_path)
     if log_path is None:
-        return _draw_equilibrium(args, scene, out)
-    return _draw_motion(args, scene, log_path, out, kind)
+        return _draw_equilibrium(args, sr.load_scene(scene_path), out)
+    return _draw_motion(args, scene_path, log_path, out, kind)
 
 
 def _files(files) -> tuple[str | None, str | None]:
@@ -123,7 +124,9 @@ def _check_options(args, scene_path, log_path, out, kind) -> None:
     }
     rods = {"--intervals": args.intervals, "--tolerance": args.tolerance}
     film = {"--speed": args.speed, "--fps": args.fps}
+    mapping = {"--mapping": args.mapping}
     for allowed, options, remedy in (
+        (log_path is not None, mapping, "for a log only"),
         (log_path is None, inputs, "the log gives the inputs, or is drawn as it is"),
         (moves, steps, "for a scene and a log only"),
         (scene_path is not None, rods, "for a scene only"),
@@ -150,25 +153,15 @@ def _draw_equilibrium(args, scene, out) -> int:
     return _written(out)
 
 
-def _draw_motion(args, scene, log_path, out, kind) -> int:
-    import numpy as np
-
-    from calibration.data.loading import load_recording
+def _draw_motion(args, scene_path, log_path, out, kind) -> int:
     from calibration.report.log_plot import log_figure
     from softrod_jax.pictures import animate
 
-    log = load_recording(log_path, scene, need_tip=False)
-    if len(log.times) < 2:
-        raise UsageError(f"{log_path}: one row is no motion; to draw a rod at rest, leave it out")
-    if args.dt is None:
-        args.dt = float(np.median(np.diff(log.times)))
-    args.log, args.duration, args.alpha = log_path, None, None
-    motion = simulated(args, scene)
+    found = moved_by_log(args, scene_path, log_path)
+    if found is None:
+        return 1
+    scene, log, motion = found
     trajectory = motion.trajectory
-    if trajectory is None or int(trajectory.result) != 0:
-        step = 0 if trajectory is None else int(trajectory.failed_step)
-        return _failed(f"step {step}, from {step * args.dt:g} s: {motion.reason}")
-    _compare(args, log, trajectory, float(scene.length))
     if kind in _FILMS:
         tensions = _shown(motion.inputs, trajectory.tensions)
         animate(
@@ -184,6 +177,31 @@ def _draw_motion(args, scene, log_path, out, kind) -> int:
     else:
         _save(log_figure(log, scene, trajectory), out)
     return _written(out)
+
+
+def moved_by_log(args, scene_path, log_path):
+    """The scene, the log, and what `simulated` makes of its inputs; None if that failed, which is
+    then said."""
+    import numpy as np
+
+    import softrod_jax as sr
+    from calibration.data.loading import load_recording
+
+    scene = sr.load_scene(scene_path)
+    log = load_recording(log_path, scene, mapping=args.mapping, need_tip=False)
+    if len(log.times) < 2:
+        raise UsageError(f"{log_path}: one row is no motion; to draw a rod at rest, leave it out")
+    if args.dt is None:
+        args.dt = float(np.median(np.diff(log.times)))
+    args.log, args.duration, args.alpha = log_path, None, None
+    motion = simulated(args, scene)
+    trajectory = motion.trajectory
+    if trajectory is None or int(trajectory.result) != 0:
+        step = 0 if trajectory is None else int(trajectory.failed_step)
+        _failed(f"step {step}, from {step * args.dt:g} s: {motion.reason}")
+        return None
+    _compare(args, log, trajectory, float(scene.length))
+    return scene, log, motion
 
 
 def _shown(inputs, tensions):

@@ -15,6 +15,7 @@ from calibration.cli.common import (
     actuation,
     add_actuation,
     add_grid,
+    add_mapping,
     check_writable,
     given_inputs,
     grid,
@@ -25,6 +26,7 @@ from calibration.cli.common import (
     reason,
 )
 from calibration.cli.solve import UNSTABLE
+from calibration.cli.waiting import waiting
 
 # A motion is kept as a whole, on every point of its grid. More than this [bytes], or than half of
 # what the machine has, is a typing error, and would fill the memory before it is noticed.
@@ -40,6 +42,7 @@ def add_arguments(parser) -> None:
         metavar="INPUT.csv",
         help="inputs from this log: linear in time, a step takes the value at its end",
     )
+    add_mapping(parser)
     add_actuation(parser)
     parser.add_argument("--dt", type=positive, required=True, metavar="S", help="time step [s]")
     parser.add_argument(
@@ -111,15 +114,17 @@ def simulated(args, scene) -> Simulated:
             note(f"--from-static: {UNSTABLE}")
         # The motion goes on where the equilibrium was found.
         options["method"] = initial.method
-    trajectory = sr.simulate(
-        scene,
-        **_rows(inputs, slice(1, None))._asdict(),
-        steps=steps,
-        initial=initial,
-        throw=False,
-        **options,
-    )
-    return Simulated(steps, inputs, trajectory, reason(trajectory.result, moving=True))
+    with waiting(f"simulating {steps} steps of {args.dt:g} s"):
+        trajectory = sr.simulate(
+            scene,
+            **_rows(inputs, slice(1, None))._asdict(),
+            steps=steps,
+            initial=initial,
+            throw=False,
+            **options,
+        )
+        code = int(trajectory.result)  # waits for it
+    return Simulated(steps, inputs, trajectory, reason(code, moving=True))
 
 
 def run(args) -> int:
@@ -172,6 +177,8 @@ def _inputs(args, scene) -> tuple[int, Any]:
     from softrod_jax.scene.inputs import Inputs
 
     if args.log is None:
+        if args.mapping is not None:
+            raise UsageError("--mapping: how to read a --log; give one, or leave it out")
         if args.duration is None:
             raise UsageError("--duration is needed (only a --log has one of its own)")
         steps = _whole_steps(args, args.duration)
@@ -183,7 +190,7 @@ def _inputs(args, scene) -> tuple[int, Any]:
         )
     from calibration.data.loading import load_recording
 
-    log = load_recording(args.log, scene, need_tip=False)
+    log = load_recording(args.log, scene, mapping=args.mapping, need_tip=False)
     for assumption in log.notes:
         note(f"--log {args.log}: {assumption}")
     clock = log.times - log.times[0]
@@ -245,8 +252,8 @@ def _rows(inputs, index):
 
 def _write(path, scene, ts, inputs, tips, tracks) -> None:
     """The motion with the columns of a log of this scene: actuators not used are at zero."""
-    from calibration.data.recording import write_log
     from softrod_jax.scene.inputs import filled
+    from softrod_jax.scene.logs import write_log
 
     inputs = filled(scene, inputs, (len(ts),))._asdict()
     write_log(path, ts, **inputs, tip_positions=tips, markers=tracks)

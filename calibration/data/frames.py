@@ -79,7 +79,8 @@ def rest_samples(tip: np.ndarray, path) -> int:
     if rest < _LEAST_REST:
         raise RecordingError(
             f"{path}: the tip moves from frame {rest} on, and at least {_LEAST_REST} frames at "
-            "rest, the rod held straight, must come first: they give the origin"
+            "rest, the rod held straight, must come first: they give the origin; a mapping can say "
+            "where the clamp is with [tip] origin instead"
         )
     return rest
 

@@ -1,5 +1,6 @@
 """Reading a recording, whatever kind of file it is in."""
 
+import os
 from os import PathLike
 from pathlib import Path
 
@@ -23,10 +24,12 @@ def load_recording(
 
     With a `scene`, the log must have a column for each of its tendons and chambers, and the
     tip must be within reach of the rod. `mapping`: a file that says which columns of a .csv, .mat,
-    .h5, .parquet or .c3d are what, see `calibration.data.mapping`. Without one a .csv has this
-    project's columns, see `read_log`, and a .c3d is read by `calibration.data.c3d.read_c3d`, whose
-    options are `tip_markers`, `base_markers` and `axes`. Both kinds but the .csv need the scene.
-    `need_tip=False` accepts a CSV without tip columns: inputs alone.
+    .h5, .parquet or .c3d are what, see `calibration.data.mapping`; by default the file of that name
+    with .map.toml in place of its ending, if it is there, which `softrod import` writes. Without
+    one a .csv has this project's columns, see `read_log`, and a .c3d is read by
+    `calibration.data.c3d.read_c3d`, whose options are `tip_markers`, `base_markers` and `axes`, and
+    which needs the scene. `need_tip=False` accepts a CSV without tip columns, and a mapping without
+    [tip]: inputs alone.
 
     Raises `RecordingError` (a `ValueError`) naming file, row, column, value and remedy.
     """
@@ -35,22 +38,34 @@ def load_recording(
         return _load(path, scene, mapping, need_tip, c3d_options)
 
 
+def mapping_beside(path: str | PathLike) -> Path | None:
+    """The mapping of a recording that is used if no other is given; None if there is none."""
+    beside = mapping_name(path)
+    return beside if beside is not None and os.path.exists(beside) else None
+
+
+def mapping_name(path: str | PathLike) -> Path | None:
+    """What that is called; None for what is no name of a file."""
+    return Path(path).with_suffix(".map.toml") if Path(path).name else None
+
+
 def _load(path, scene, mapping, need_tip, c3d_options) -> Recording:
     suffix = Path(path).suffix.lower()
+    if mapping is None and not c3d_options:
+        mapping = mapping_beside(path)
     if c3d_options and (suffix != ".c3d" or mapping is not None):
         names = ", ".join(c3d_options)
         raise RecordingError(
             f"{path}: {names}: options of .c3d files without a mapping only; leave them out"
         )
     if mapping is not None:
-        if scene is None:
-            raise RecordingError(f"{path}: to read it by a mapping, give the scene")
-        return read_mapped(path, mapping, scene)
+        return read_mapped(path, mapping, scene, need_tip)
     if suffix == ".csv":
         return read_log(path, scene, need_tip=need_tip)
     if suffix == ".c3d":
         return read_c3d(path, scene, **c3d_options)
     raise RecordingError(
-        f"{path}: unknown kind of recording {suffix!r}: expected .csv or .c3d; .mat, .h5 and "
-        ".parquet need a mapping that says which columns are what"
+        f"{path}: unknown kind of recording {suffix!r}: expected .csv or .c3d; .mat, .h5, "
+        f".parquet and other tables need a mapping that says which columns are what: `softrod "
+        f"import {path}` writes one"
     )

@@ -142,7 +142,8 @@ def _columns(header, path, scene, need_tip, encoding) -> _Columns:
     for sign, name in ((";", "';'"), ("\t", "tabs")):
         if len(header) == 1 and sign in header[0]:
             raise RecordingError(
-                f"{path}: row 1: cells are separated by {name}, expected commas; a mapping reads it"
+                f"{path}: row 1: cells are separated by {name}, expected commas; a mapping reads "
+                f"it: softrod import {path}"
             )
     inputs = {kind.name: _named(kind, _count(kind, header, scene)) for kind in KINDS}
     tip = TIP_COLUMNS if need_tip or any(name.startswith("tip") for name in header) else []
@@ -160,7 +161,7 @@ def _columns(header, path, scene, need_tip, encoding) -> _Columns:
     letters = "" if encoding.startswith("utf") else f"; it is not UTF-8, and was read as {encoding}"
     raise RecordingError(
         f"{path}: row 1: {problem} ({whose} {', '.join(expected)}){letters}; a mapping reads "
-        "other tables"
+        f"other tables: softrod import {path}"
     )
 
 

@@ -62,7 +62,7 @@ class TimeColumn:
                 raise RecordingError(f"{spec.where}rate = {rate:g}: expected a number above 0 [Hz]")
             self.interval = 1 / rate
             return
-        self.name = table.find(spec.text("column"))
+        self.name = table.find(spec.text("column"), key=f"{spec.where}column")
         times = table.times(self.name, spec.text("format", None))
         texts = table.columns[self.name].dtype.kind in "OM"
         if texts and spec.content.get("unit", "s") != "s":
@@ -88,14 +88,18 @@ class TimeColumn:
         if len(self.times) != count:
             raise RecordingError(
                 f"{self.table.path}: column {column}: {count} samples, and its time has "
-                f"{len(self.times)}; give it a time of its own"
+                f"{len(self.times)}; give it a time of its own, time = {{ column = .. }} in its "
+                "table"
             )
         return self.times
 
     def _check(self, times) -> None:
         there = np.flatnonzero(~np.isnan(times))
         if not len(there):
-            raise RecordingError(f"{self.table.path}: column {self.name}: every time is missing")
+            raise RecordingError(
+                f"{self.table.path}: column {self.name}: every time is missing; name another in "
+                f"{self.key}column, or give {self.key}rate [Hz]"
+            )
         steps = np.diff(times[there]).astype(float)
         for k in np.flatnonzero(steps <= 0)[:1]:
             what = "repeats the time of" if steps[k] == 0 else "is earlier than"
@@ -104,7 +108,8 @@ class TimeColumn:
             remedy = (
                 "is it the midnight of a time of day? give a column with the date"
                 if midnight
-                else "time must increase from row to row: sort the rows and delete repeated ones"
+                else "time must increase from row to row: sort the rows and delete repeated ones, "
+                f"or give {self.key}rate [Hz] instead"
             )
             raise RecordingError(
                 f"{self.table.path}: {row(k + 1)}, column {self.name}: {times[there[k + 1]]} "

@@ -41,7 +41,8 @@
 
 Where the file says its units (a C3D, Motive, a row of units below the header, `X [mm]`), `unit`
 may be left out, and is an error if it says another; `ignore_file_unit = true` beside it overrules
-the file. A sample of the tip at exactly (0, 0, 0) is one that was not seen.
+the file. A sample of the tip at exactly (0, 0, 0) is one that was not seen. `softrod import` writes
+such a file from what it finds.
 """
 
 from dataclasses import replace
@@ -69,8 +70,13 @@ from softrod_jax.scene.inputs import KINDS
 _FILL = "fill it in or delete the row"
 
 
-def read_mapped(path: str | PathLike, mapping: str | PathLike, scene) -> Recording:
+def read_mapped(
+    path: str | PathLike, mapping: str | PathLike, scene=None, need_tip: bool = True
+) -> Recording:
     """The recording in `path`, as the mapping file `mapping` describes it; for `scene`.
+
+    Without a scene nothing is compared with the rod, and `[tip] rest` has no meaning. With
+    `need_tip=False` the mapping may have no `[tip]`: inputs alone.
 
     Raises `RecordingError` naming file, row, column, value and remedy; for a mapping that cannot
     be, naming its key.
@@ -78,21 +84,26 @@ def read_mapped(path: str | PathLike, mapping: str | PathLike, scene) -> Recordi
     spec = read_toml(mapping)
     table = read_table(path, _text_options(spec.table("csv", required=False)))
     clock = TimeColumn(table, spec.table("time", required=table.interval is None))
-    tip, clock_of_tip, notes, known, source = _tip(table, spec, clock, scene)
+    part = spec.table("tip", required=need_tip)
+    seen = _tip(table, spec, part, clock, scene) if part.content else None
     inputs = {
         kind.name: [_input(table, part, kind.quantity, clock) for part in spec.tables(kind.name)]
         for kind in KINDS
     }
     conditions = spec.table("conditions", required=False).numbers()
     spec.done()
-    _check_counts(mapping, inputs, scene)
+    if scene is not None:
+        _check_counts(mapping, inputs, scene)
+    tip, clock_of_tip, notes, known, source = seen or _without_tip(mapping, inputs)
     clocks, dated = one_zero(path, [clock_of_tip, *(x[1] for p in inputs.values() for x in p)])
     clock_of_tip, others = clocks[0], iter(clocks[1:])
     inputs = {
         name: [(part, next(others), *rest) for part, _, *rest in parts]
         for name, parts in inputs.items()
     }
-    check_interval(path, mapping, clock_of_tip[np.any(np.isfinite(tip), axis=1)])
+    check_interval(
+        path, mapping, clock_of_tip[np.any(np.isfinite(tip), axis=1)] if seen else clock_of_tip
+    )
     gaps, said = _clocks_of(path, clock_of_tip, tip, inputs)
     times, merged, columns, clipped = _merged(path, clock_of_tip, tip, inputs)
     recording = Recording(
@@ -106,8 +117,10 @@ def read_mapped(path: str | PathLike, mapping: str | PathLike, scene) -> Recordi
         conditions=conditions,
         gaps=gaps,
     )
-    if not np.any(recording.has_tip):
-        raise RecordingError(f"{path}: {source.columns}: every sample is missing")
+    if seen and not np.any(recording.has_tip):
+        raise RecordingError(
+            f"{path}: {source.columns}: every sample is missing; name others in [tip] columns"
+        )
     names = dict(zip(clock_of_tip.tolist(), source.labels, strict=True))
     check_reach(
         recording, scene, replace(source, labels=[names.get(t, "") for t in times.tolist()])
@@ -138,8 +151,16 @@ def _text_options(spec: Spec) -> TextOptions:
     return options
 
 
-def _tip(table: Table, spec: Spec, clock: TimeColumn, scene):
-    part = spec.table("tip")
+def _without_tip(mapping, inputs):
+    """What `_tip` gives, of a file that has none: on the clock of the first input."""
+    times = next((parts[0][1] for parts in inputs.values() if parts), None)
+    if times is None:
+        raise RecordingError(f"{mapping}: neither [tip] nor inputs: nothing would be read")
+    nothing = Source([""] * len(times), "no columns", "[tip] unit", None)
+    return np.full((len(times), 3), np.nan), times, (), True, nothing
+
+
+def _tip(table: Table, spec: Spec, part: Spec, clock: TimeColumn, scene):
     own = part.table("time", required=False)
     clock = TimeColumn(table, own) if own.content else clock
     columns = part.texts("columns", 3, required=False)
@@ -151,13 +172,18 @@ def _tip(table: Table, spec: Spec, clock: TimeColumn, scene):
     origin, rest = part.vector("origin", required=False), part.flag("rest")
     if origin is not None and rest:
         raise RecordingError(f"{part.where}origin and {part.where}rest: one of them is too much")
+    if rest and scene is None:
+        raise RecordingError(
+            f"{part.where}rest = true: puts the rest at the scene's straight tip: give the scene"
+        )
     triples = [columns] if columns is not None else markers or [[]]
     for names in triples:
         if not (isinstance(names, list) and len(names) == 3 and all(
             isinstance(name, str) for name in names
         ) and any(names)):  # fmt: skip
             raise part.wrong("markers", names, "3 column names, at least one not empty")
-    found = [[table.find(name, "tip") if name else "" for name in names] for names in triples]
+    key = f"{part.where}{'columns' if columns is not None else 'markers'}"
+    found = [[table.find(name, "tip", key) if name else "" for name in names] for names in triples]
     unit = factor(table, part, "length", [name for names in found for name in names if name])
     part.done()
     place = lambda names: _place(table, names, missing, unit, turn)
@@ -169,10 +195,11 @@ def _tip(table: Table, spec: Spec, clock: TimeColumn, scene):
         raise RecordingError(
             f"{part.where}markers: their columns have different numbers of samples"
         )
-    check_one_body(table.path, np.stack(placed, axis=1), [names[0] for names in found], scene)
+    if scene is not None:
+        check_one_body(table.path, np.stack(placed, axis=1), [names[0] for names in found], scene)
     seen, meant = _base_markers(table, spec, place, count)
     notes = []
-    always = origin is None and not rest and not seen and base_is_zero(scene)
+    always = origin is None and not rest and not seen and scene is not None and base_is_zero(scene)
     for several in (placed, seen):
         for k, p in enumerate(several):
             several[k], note = at_zero(p, always=always)
@@ -202,7 +229,8 @@ def _base_markers(table: Table, spec: Spec, place, count: int):
     """Where markers on the clamp were seen, (T, 3) [m] each, and where they are meant to be."""
     seen, meant = [], []
     for marker in spec.tables("base_markers"):
-        names = [table.find(name, "base") for name in marker.texts("columns", 3)]
+        columns = marker.texts("columns", 3)
+        names = [table.find(name, "base", f"{marker.where}columns") for name in columns]
         seen.append(place(names))
         meant.append(marker.vector("position"))
         marker.done()
@@ -217,7 +245,10 @@ def _place(table: Table, names, missing, unit, turn) -> np.ndarray:
     """A marker (T, 3) [m] in the scene's axes; NaN where it, or a coordinate, was not seen."""
     count = len(table.columns[next(name for name in names if name)])
     if any(name and len(table.columns[name]) != count for name in names):
-        raise RecordingError(f"{table.path}: columns {', '.join(names)}: have different lengths")
+        raise RecordingError(
+            f"{table.path}: columns {', '.join(names)}: have different lengths; name others in "
+            "[tip] columns"
+        )
     leave = "leave the cell empty if the sample is missing, or name its text in [csv] missing"
     xyz = np.full((count, 3), np.nan)
     for i, name in enumerate(names):
@@ -237,7 +268,7 @@ def _input(table: Table, part: Spec, kind: str, clock: TimeColumn):
     """Name, times and values [SI] of one actuator, without missing samples; labels, time's key."""
     own = part.table("time", required=False)
     clock = TimeColumn(table, own) if own.content else clock
-    name = table.find(part.text("column"))
+    name = table.find(part.text("column"), key=f"{part.where}column")
     values = table.numbers(name, f"inputs are needed in every row: {_FILL}")
     times = clock.of(len(values), name)
     given = part.number("scale", None)
@@ -251,7 +282,9 @@ def _input(table: Table, part: Spec, kind: str, clock: TimeColumn):
             f"needed in every row (only the tip may be missing): {_FILL}"
         )
     if not np.any(there):
-        raise RecordingError(f"{table.path}: column {name}: no sample has a time")
+        raise RecordingError(
+            f"{table.path}: column {name}: no sample has a time; say its clock in {part.where}time"
+        )
     labels = [table.row(int(k), len(values)) for k in np.flatnonzero(there)]
     return name, times[there], values[there], labels, f"{part.where}time."
 

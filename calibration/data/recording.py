@@ -4,19 +4,13 @@ SI units; a sample of the tip that is missing is NaN. `calibration.data.loading`
 files.
 """
 
-import csv
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from os import PathLike
 
 import numpy as np
 
-from softrod_jax.foundation.whole_files import whole_file
 from softrod_jax.scene.inputs import KINDS, Kind
-
-# The columns of the tip in a log.
-TIP_COLUMNS = ["tip_x_m", "tip_y_m", "tip_z_m"]
+from softrod_jax.scene.logs import TIP_COLUMNS as TIP_COLUMNS
 
 
 class RecordingError(ValueError):
@@ -108,37 +102,3 @@ class Recording:
             tip_positions=self.tip_positions[keep],
             gaps=tuple(g for g in self.gaps if g[0] < end and g[1] > start),
         )
-
-
-def write_log(
-    path: str | PathLike,
-    times,
-    tensions=None,
-    pressures=None,
-    tip_positions=None,
-    markers: dict | None = None,
-    pulls=None,
-) -> None:
-    """Write a CSV log that `read_log` reads back bit by bit.
-
-    `times` [s] (T,), `tensions` [N] (T, tendons driven by tension), `pressures` [Pa] (T, chambers),
-    `pulls` [m] (T, tendons driven by length) and `tip_positions` [m] (T, 3), NaN where missing;
-    columns of what is `None` are left out. `markers` [m]: by name, (T, 3) each.
-    Raises `OSError` if the file cannot be written, which then stays as it was.
-    """
-    header, columns = ["t_s"], [np.reshape(times, (-1, 1))]
-    for kind, values in zip(KINDS, (tensions, pressures, pulls), strict=True):
-        if values is not None:
-            header += [kind.column.format(i + 1) for i in range(np.shape(values)[1])]
-            columns.append(values)
-    if tip_positions is not None:
-        header += TIP_COLUMNS
-        columns.append(tip_positions)
-    for name, positions in (markers or {}).items():
-        header += [f"{name}_{axis}_m" for axis in "xyz"]
-        columns.append(positions)
-    table = np.hstack([np.asarray(c, dtype=np.float64) for c in columns]).tolist()
-    with whole_file(path, newline="", encoding="utf-8") as file:
-        writer = csv.writer(file, lineterminator="\n")
-        writer.writerow(header)
-        writer.writerows([["" if math.isnan(x) else repr(x) for x in row] for row in table])

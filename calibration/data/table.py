@@ -40,19 +40,21 @@ class Table:
     interval: float | None = None
     notes: tuple[str, ...] = ()
 
-    def find(self, name: str, among: str = "") -> str:
+    def find(self, name: str, among: str = "", key: str = "") -> str:
         """The column that a mapping calls `name`: with its marker's name or not, as `LABEL.x` or as
         `x` alone, with its unit or not. Of several that of the marker named `among` is meant.
+        `key`: that of the mapping, for messages.
 
         Raises `RecordingError`, with the names that there are, if there is none or more than one.
         """
         if name in self.columns:
             return name
         plain = lambda text: text.strip().casefold()
+        asked = f" ({key})" if key else ""
         for same in (
             lambda column: plain(column) == plain(name),
-            lambda column: plain(_bare(column)) == plain(name),
-            lambda column: plain(_bare(column).rpartition(".")[2]) == plain(name),
+            lambda column: plain(bare_name(column)) == plain(name),
+            lambda column: plain(bare_name(column).rpartition(".")[2]) == plain(name),
         ):
             found = [column for column in self.columns if same(column)]
             own = [c for c in found if plain(c.rpartition(".")[0].split(":")[-1]) == plain(among)]
@@ -60,18 +62,19 @@ class Table:
                 return (own if len(found) > 1 else found)[0]
             if found:
                 raise RecordingError(
-                    f"{self.path}: {len(found)} columns are called {name!r}; name one of "
+                    f"{self.path}: {len(found)} columns are called {name!r}{asked}; name one of "
                     f"{_listed(found)}"
                 )
         if name in self.skipped:
-            raise RecordingError(f"{self.path}: column {name!r} is {self.skipped[name]}")
-        hint = ""
-        if all(_is_number(_bare(column)) for column in self.columns):
+            raise RecordingError(f"{self.path}: column {name!r} is {self.skipped[name]}{asked}")
+        hint = "; is the header another line? [csv] skip_rows" if len(self.columns) == 1 else ""
+        if all(_is_number(bare_name(column)) for column in self.columns):
             hint = (
                 "; if its first row is no header, set [csv] header = false: then they are 1, 2, .."
             )
         raise RecordingError(
-            f"{self.path}: no column {name!r}; the file has {_listed(list(self.columns))}{hint}"
+            f"{self.path}: no column {name!r}{asked}; the file has "
+            f"{_listed(list(self.columns))}{hint}"
         )
 
     def numbers(self, column: str, missing: str) -> np.ndarray:
@@ -142,7 +145,7 @@ def _first_text(values) -> tuple[int, str]:
     return 0, ""
 
 
-def _bare(column: str) -> str:
+def bare_name(column: str) -> str:
     """The name without its unit, and without the number that tells it from another of that name."""
     column = re.sub(r" ?\(column \d+\)$", "", column)
     unit = units.in_name(column)

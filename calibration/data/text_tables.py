@@ -70,13 +70,18 @@ def _part(path, lines: list[str], layout: Layout, numbers: NumberFormat) -> Tabl
             cells = cells + [""] * -extra
         elif extra:
             raise RecordingError(
-                f"{path}: row {line}: {len(cells)} cells, and the header has {len(columns)} columns"
+                f"{path}: row {line}: {len(cells)} cells, and the header has {len(columns)} "
+                "columns; with a mapping, [csv] delimiter and [csv] skip_rows say what is between "
+                "cells and where the header is"
             )
         for column, cell in zip(columns, cells, strict=True):
             column.add(cell)
         rows.append(f"row {line}")
     if not rows:
-        raise RecordingError(f"{path}: a header and no rows: nothing was recorded")
+        raise RecordingError(
+            f"{path}: a header and no rows: nothing was recorded; if the header is another line, a "
+            "mapping says so with [csv] skip_rows"
+        )
     named = dict(zip(layout.names, columns, strict=True))
     return Table(
         str(path),

@@ -11,11 +11,11 @@ import jax.numpy as jnp
 import numpy as np
 
 import softrod_jax as sr
-from calibration.data.recording import write_log
 from calibration.examples import example_paths
 from calibration.experiment.setup import Setup
 from calibration.parameters.catalogue import with_values
 from calibration.problem.motion import Motion, tip_at
+from softrod_jax.scene.logs import write_log
 
 # The truth, as factors of the values in robot.toml.
 TRUTH = {"young_modulus": 1.4, "bending_damping": 2.0, "drag_coefficient": 2.0}

@@ -7,6 +7,7 @@ The others with components are fitted one by one: `sensor_offset` stands for `se
 """
 
 from collections.abc import Callable, Iterable
+from difflib import get_close_matches
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -14,6 +15,7 @@ import numpy as np
 
 import softrod_jax as sr
 from calibration.experiment.setup import Setup
+from calibration.parameters.names import NAMES
 from calibration.parameters.parameter import AbstractParameter, Parameter
 from calibration.parameters.paths import is_path, path_parameter
 from calibration.parameters.scales import Between, Factor, Shift
@@ -242,9 +244,13 @@ def parameters_of(scene: sr.Scene, names: Iterable[str]) -> tuple[AbstractParame
             return path_parameter(scene, name)
         if name not in known:
             listed = ", ".join([*known, *groups])
+            close = get_close_matches(name, [*known, *groups], n=1)
+            hint = f"did you mean {close[0]!r}? " if close else ""
+            if name in NAMES:
+                hint = "the scene has nothing of that kind; "
             raise ValueError(
-                f"fit: unknown parameter {name!r}; known: {listed}; or a path of a number in the "
-                "scene, such as segments[0].young_modulus"
+                f"fit: unknown parameter {name!r}; {hint}known: {listed}; or a path of a number "
+                "in the scene, such as segments[0].young_modulus"
             )
         return known[name]
 

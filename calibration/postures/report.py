@@ -13,7 +13,8 @@ from matplotlib.figure import Figure
 import softrod_jax as sr
 from calibration.postures.fitting import PostureFit
 from calibration.report.provenance import provenance
-from calibration.report.writing import STYLE, as_rows, estimate_as_json, plain, table, write_text
+from calibration.report.text import as_rows
+from calibration.report.writing import STYLE, estimate_as_json, plain, table, write_text
 
 _MEASURED, _SIMULATED = "#1f77b4", "#d62728"
 _WORST = 8

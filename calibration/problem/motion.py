@@ -26,7 +26,8 @@ class Motion(eqx.Module):
     """The simulated marker of one recording on the grid of time steps, (steps + 1, 3) each.
 
     `shapes`: the rod, (steps + 1, outputs, 3). `error`: of the grid along it, the largest of all
-    steps, as the solver estimates it, in lengths of the rod.
+    steps, as the solver estimates it, in lengths of the rod. `attitudes`, (steps + 1, outputs, 4),
+    and `strains`, (steps + 1, outputs, 6), at `arc_lengths` [m]: what draws the rod between.
     """
 
     positions: Float[Array, "rows 3"]
@@ -34,6 +35,9 @@ class Motion(eqx.Module):
     shapes: Float[Array, "rows outputs 3"]
     result: Int[Array, ""]
     error: Float[Array, ""]
+    attitudes: Float[Array, "rows outputs 4"] | None = None
+    strains: Float[Array, "rows outputs 6"] | None = None
+    arc_lengths: Float[Array, "outputs"] | None = None
 
 
 def simulate_motion(setup: Setup, batch: Batch, scheme, method) -> Motion:
@@ -76,7 +80,16 @@ def simulate_motion(setup: Setup, batch: Batch, scheme, method) -> Motion:
         positions = positions + rotated(attitude, setup.sensor_offset)
         velocities = velocities + rotated(attitude, turning)
     error = jax.lax.stop_gradient(jnp.max(trajectory.stats["error"]))
-    return Motion(positions, velocities, trajectory.positions, trajectory.result, error)
+    return Motion(
+        positions,
+        velocities,
+        trajectory.positions,
+        trajectory.result,
+        error,
+        trajectory.quaternions,
+        trajectory.strains,
+        trajectory.arc_lengths,
+    )
 
 
 def driven(batch: Batch, drifted: Float[Array, "windows"]) -> Batch:

@@ -2,11 +2,9 @@
 
 import numpy as np
 
-from calibration.report.results import Fit
 
-
-def taken_for_granted(fit: Fit) -> list[str]:
-    """Each with its value where it is one number, in words."""
+def taken_for_granted(fit) -> list[str]:
+    """Each with its value where it is one number, in words. `fit`: a `Fit`."""
     scene = fit.scene
     fitted = {e.name for e in fit.parameters.values()}
     fitted |= {name for r in fit.recordings for name in r.recording.conditions}
@@ -38,7 +36,7 @@ def taken_for_granted(fit: Fit) -> list[str]:
     return found
 
 
-def scale_of_forces(fit: Fit) -> str:
+def scale_of_forces(fit) -> str:
     """What an error of a number that is taken for granted does, in a sentence, or "".
 
     Forces have one common scale that no motion shows.
@@ -79,5 +77,5 @@ def _stretch(scene) -> bool:
     return scene.tendons is not None and any(x is not None for x in scene.tendons.stiffness or ())
 
 
-def _given(fit: Fit, inputs: str) -> bool:
+def _given(fit, inputs: str) -> bool:
     return any(getattr(r.recording, inputs) is not None for r in fit.recordings)

@@ -153,7 +153,7 @@ def motion_figure(recording: RecordingFit) -> Figure:
     """The rod at times of the motion, in the plane in which it moves most."""
     figure = Figure(figsize=(6, 4.5), layout="constrained")
     axis = figure.subplots()
-    shapes = 1e3 * recording.shapes
+    shapes = 1e3 * recording.motion.positions
     shown = np.unique(np.linspace(0, len(shapes) - 1, _SHAPES).astype(int))
     across = int(np.argmax(np.ptp(shapes[:, -1, :2], axis=0)))
     for k in shown:

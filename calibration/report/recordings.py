@@ -16,7 +16,7 @@ from calibration.problem.batch import recording_of
 from calibration.problem.dataset import Dataset
 from calibration.problem.motion import Motion, tip_at
 from calibration.problem.problem import Point
-from calibration.report.results import RecordingFit
+from calibration.report.results import RecordingFit, RodMotion
 
 
 def held_out_fits(best: Point, unseen: Dataset, dt: float | None) -> tuple[RecordingFit, ...]:
@@ -60,6 +60,9 @@ def recording_fit(
     step = step if finer is None else step / 2
     duration = selection.end - clock.origin - delay
     rows = np.arange(min(len(motion.shapes), int(duration / step) + 2))
+    seen_times = times - clock.origin - delay - _gained(drift, times)
+    coarse = recording_of(evaluation.motion, k)
+    seen_tip = np.asarray(tip_at(coarse, clock.dt, jnp.asarray(seen_times)))
     return RecordingFit(
         name=data.labels[k],
         recording=recording,
@@ -78,9 +81,26 @@ def recording_fit(
         tip_offset=None if recording.origin_known else np.asarray(alignment.offset),
         frame_rotation=None if recording.origin_known else np.asarray(alignment.rotation),
         beginning=beginning(recording, bool(problem.batch.hanging[k])),
-        shape_times=step * rows,
-        shapes=np.asarray(motion.shapes)[rows],
+        motion=RodMotion(
+            ts=step * rows,
+            positions=np.asarray(motion.shapes)[rows],
+            quaternions=np.asarray(motion.attitudes)[rows],
+            strains=np.asarray(motion.strains)[rows],
+            arc_lengths=np.asarray(motion.arc_lengths),
+            seen_times=seen_times,
+            # Where the simulated tip is, less what the recording's frame shows between the two.
+            seen=seen_tip - residuals,
+            inputs=_inputs(recording, clock.zero + step * rows),
+        ),
     )
+
+
+def _inputs(recording, times) -> dict[str, np.ndarray]:
+    """The inputs at `times` [s] of their clock, (times, actuators)."""
+    return {
+        kind.name: np.stack([np.interp(times, recording.times, c) for c in values.T], axis=1)
+        for kind, values in recording.driven_by
+    }
 
 
 def _curve(
@@ -95,10 +115,16 @@ def _curve(
     motion, alignment = (
         recording_of(part, k) for part in (best.evaluation.motion, best.evaluation.alignment)
     )
-    gained = drift["clock"].at(times)[:, 0] if "clock" in drift else 0.0
     moved = drift["tip"].at(times) if "tip" in drift else 0.0
-    tip = tip_at(motion, clock.dt, jnp.asarray(times - clock.origin - delay - gained))
+    tip = tip_at(
+        motion, clock.dt, jnp.asarray(times - clock.origin - delay - _gained(drift, times))
+    )
     return np.asarray(tip + alignment.of(tip - motion.positions[0])) + moved
+
+
+def _gained(drift: Mapping[str, Drift], times: np.ndarray) -> np.ndarray | float:
+    """By how much the tip's clock is ahead [s] at `times`."""
+    return drift["clock"].at(times)[:, 0] if "clock" in drift else 0.0
 
 
 def _offset_interval(

@@ -13,6 +13,7 @@ from calibration.experiment.setup import Setup
 from calibration.inference.explain import Explanation
 from calibration.inference.profile import Profile
 from calibration.inference.uncertainty import IDENTIFIED
+from calibration.report.text import html_table, summary_text
 from calibration.search.checkpoint import Checkpoint
 from calibration.search.multistart import Start
 
@@ -47,6 +48,27 @@ class Estimate:
 
 
 @dataclass(frozen=True, eq=False)
+class RodMotion:
+    """The rod's simulated motion, as it is drawn, and what was seen of it.
+
+    - `ts` [s], (rows,), from the start of the simulation; `positions` [m], (rows, outputs, 3),
+      `quaternions`, (rows, outputs, 4), and `strains`, (rows, outputs, 6), at `arc_lengths` [m].
+    - `seen_times` [s], (n,), on the same clock, and `seen` [m], (n, 3): the measured tip in the
+      scene's frame, NaN where a coordinate is missing.
+    - `inputs`: by the name of their kind, (rows, actuators), as recorded.
+    """
+
+    ts: np.ndarray
+    positions: np.ndarray
+    quaternions: np.ndarray
+    strains: np.ndarray
+    arc_lengths: np.ndarray
+    seen_times: np.ndarray
+    seen: np.ndarray
+    inputs: dict[str, np.ndarray]
+
+
+@dataclass(frozen=True, eq=False)
 class RecordingFit:
     """One recording and its fit at the samples that were used (n,).
 
@@ -64,7 +86,7 @@ class RecordingFit:
     - `beginning`: how it was taken to begin.
     - `frame_fitted`: they were fitted to this recording; else, where it was kept aside, they are
       those of the fitted ones, and `rmse_own_frame` [m] is what a frame of its own would leave.
-    - `shapes` [m], (rows, outputs, 3) at `shape_times` [s, from the start]: the rod's motion.
+    - `motion`: the rod's motion, for plots and films.
     """
 
     name: str
@@ -83,8 +105,7 @@ class RecordingFit:
     drift: dict[str, Drift]
     tip_offset: np.ndarray | None
     frame_rotation: np.ndarray | None
-    shape_times: np.ndarray
-    shapes: np.ndarray
+    motion: RodMotion
     beginning: str = ""
     frame_fitted: bool = True
     rmse_own_frame: float | None = None
@@ -136,6 +157,14 @@ class Fit:
     resolution_note: str
     checkpoint: Checkpoint
     seconds: float
+
+    def summary(self) -> str:
+        """The parameters and what is left of each recording, as lines of text."""
+        return summary_text(self)
+
+    def _repr_html_(self) -> str:
+        """What a notebook shows."""
+        return html_table(self)
 
     @property
     def rmse_m(self) -> dict[str, float]:

@@ -10,11 +10,13 @@ from pathlib import Path
 import numpy as np
 
 import softrod_jax as sr
+from calibration.report.films import write_films
 from calibration.report.granted import taken_for_granted
 from calibration.report.plots import write_plots
 from calibration.report.provenance import provenance
 from calibration.report.remarks import remarks
 from calibration.report.results import Estimate, Fit
+from calibration.report.text import interval_text, sampled, show_number
 
 
 def write_report(fit: Fit, out_dir: str | PathLike) -> Path:
@@ -23,6 +25,8 @@ def write_report(fit: Fit, out_dir: str | PathLike) -> Path:
     - `parameters.json`: what `as_json` gives.
     - `report.html`: the same for reading, with the plots inside.
     - `scene.toml`: the scene with the fitted values, for `softrod simulate`.
+    - `film_*.html`: the rod over the measured tip, to be turned and played; `motions.npz`: what
+      `softrod film` makes others from.
     - `fit_*.png`, `residuals_*.png`, `motion_*.png`, `profile_*.png`, `convergence.png`.
 
     Raises `OSError` if a file cannot be written. The numbers are written first, and the fit's
@@ -33,7 +37,8 @@ def write_report(fit: Fit, out_dir: str | PathLike) -> Path:
     text = json.dumps(as_json(fit), indent=2, allow_nan=False)
     write_text(out / "parameters.json", text + "\n")
     pictures = write_plots(fit, out)
-    write_text(out / "report.html", _html(fit, pictures))
+    films = write_films(fit, out)
+    write_text(out / "report.html", _html(fit, pictures, films))
     sr.save_scene(fit.setup.simulated_scene(), out / "scene.toml")
     if fit.result != "interrupted":
         fit.checkpoint.remove()
@@ -51,35 +56,8 @@ def write_text(path: Path, text: str) -> None:
 
 
 def summary(fit: Fit) -> str:
-    """The parameters and what is left of each recording, as lines of text."""
-    text = as_rows(fit.parameters)
-    text += [
-        f"{r.name}: {1e3 * r.rmse:.3g} mm rms over {_sampled(r)} samples, "
-        f"{r.selection.start:.2f} to {r.selection.end:.2f} s; time offset {r.time_offset:.4f} s"
-        for r in fit.recordings
-    ]
-    text += [_predicted(r) for r in fit.held_out]
-    text.append(f"intervals take for granted: {', '.join(taken_for_granted(fit))}")
-    return "\n".join(line.rstrip() for line in [*text, fit.result])
-
-
-def as_rows(parameters: dict[str, Estimate]) -> list[str]:
-    """The parameters as lines of a table."""
-    lines = [("parameter", "value", "95 % interval", "initial", "verdict")]
-    for name, e in parameters.items():
-        unit = "" if e.unit == "1" else f" {e.unit}"
-        lines.append((name, _show(e.value) + unit, _interval(e), _show(e.initial), e.verdict))
-    widths = [max(len(line[i]) for line in lines) for i in range(len(lines[0]))]
-    return ["  ".join(c.ljust(w) for c, w in zip(line, widths, strict=True)) for line in lines]
-
-
-def _predicted(r) -> str:
-    text = f"{r.name}: predicted to {1e3 * r.rmse:.3g} mm rms"
-    if r.rmse_own_frame is None:
-        return text
-    if r.frame_fitted:
-        return f"{text} in a frame fitted to it"
-    return f"{text} in the frame of the fit, {1e3 * r.rmse_own_frame:.3g} in one fitted to it"
+    """As `fit.summary()`."""
+    return fit.summary()
 
 
 def as_json(fit: Fit) -> dict:
@@ -100,7 +78,7 @@ def as_json(fit: Fit) -> dict:
         "held_out_rmse_m": {r.name: r.rmse for r in fit.held_out},
         "held_out_rmse_own_frame_m": {r.name: r.rmse_own_frame for r in fit.held_out},
         "rmse_axes_m": {r.name: plain(r.rmse_axes) for r in fit.recordings},
-        "samples": {r.name: _sampled(r) for r in fit.recordings},
+        "samples": {r.name: sampled(r) for r in fit.recordings},
         "window_s": {r.name: [r.selection.start, r.selection.end] for r in fit.recordings},
         "time_offset_s": fit.time_offset_s,
         "time_offset_ci95_s": {r.name: plain(r.time_offset_ci95) for r in fit.recordings},
@@ -170,10 +148,6 @@ def plain(value):
     return [plain(x) for x in array]
 
 
-def _sampled(recording) -> int:
-    return int(np.sum(np.any(np.isfinite(recording.measured), axis=1)))
-
-
 STYLE = """
 body { font: 15px/1.5 system-ui, sans-serif; max-width: 60em; margin: 2em auto; padding: 0 1em; }
 table { border-collapse: collapse; margin: 1em 0; }
@@ -183,7 +157,7 @@ img { max-width: 100%; } .no { color: #b00; } li { margin: .4em 0; } small { col
 """
 
 
-def _html(fit: Fit, pictures: dict[str, Path]) -> str:
+def _html(fit: Fit, pictures: dict[str, Path], films: dict[str, Path]) -> str:
     parts = [
         "<!doctype html><html lang='en'><meta charset='utf-8'><title>Calibration</title>",
         f"<style>{STYLE}</style><h1>Calibration</h1>",
@@ -222,6 +196,8 @@ def _html(fit: Fit, pictures: dict[str, Path]) -> str:
         *_starts(fit),
         *_explanations(fit),
     ]
+    links = (f"<a href='{escape(p.name)}'>{escape(t)}</a>" for t, p in films.items())
+    parts += ["<h2>Films</h2>", f"<p>The rod in space, to be turned: {', '.join(links)}.</p>"]
     for title, path in pictures.items():
         data = base64.b64encode(path.read_bytes()).decode()
         alt = escape(title, quote=True)
@@ -341,10 +317,10 @@ def _row(name: str, e: Estimate) -> tuple:
     shift = lambda x: Html("&ndash;") if x is None else f"{x:+.3f}"
     return (
         name,
-        _show(e.value),
-        _interval(e),
+        show_number(e.value),
+        interval_text(e),
         "" if e.unit == "1" else e.unit,
-        _show(e.initial),
+        show_number(e.initial),
         verdict,
         shift(e.step_shift),
         shift(e.grid_shift),
@@ -359,18 +335,10 @@ def _recording_row(r) -> tuple:
         r.name,
         f"{1e3 * r.rmse:.3f}",
         ", ".join(f"{1e3 * x:.3f}" for x in r.rmse_axes),
-        str(_sampled(r)),
+        str(sampled(r)),
         f"{r.selection.start:.3f} .. {r.selection.end:.3f}",
         offset,
     )
-
-
-def _interval(e: Estimate) -> str:
-    return " .. ".join("open" if end is None else _show(end) for end in e.ci95)
-
-
-def _show(value) -> str:
-    return ", ".join(f"{x:.4g}" for x in np.ravel(value))
 
 
 class Html(str):

@@ -65,7 +65,6 @@ class Bar(AbstractMeter):
         from rich.live import Live
         from rich.progress import (
             BarColumn,
-            MofNCompleteColumn,
             Progress,
             SpinnerColumn,
             TextColumn,
@@ -76,12 +75,14 @@ class Bar(AbstractMeter):
             SpinnerColumn(),
             TextColumn("{task.description}"),
             BarColumn(bar_width=16),
-            MofNCompleteColumn(),
+            TextColumn("{task.fields[count]}"),
             TextColumn("{task.fields[loss]}"),
             TimeRemainingColumn(),
             TextColumn("left"),
         )
         self._task = None
+        self._total: int | None = None
+        self._done = 0
         self._title = ""
         self._best = np.inf
         self._values = ""
@@ -103,12 +104,15 @@ class Bar(AbstractMeter):
         self._finish()
         self._best, self._title = np.inf, title
         shown = "compiling the simulation" if first else title
-        self._task = self._progress.add_task(shown, total=total, loss="")
+        self._task = self._progress.add_task(shown, total=total, loss="", count="")
+        self._total, self._done = total, 0
 
     def show(self, point):
         if self._task is None:
             return
-        self._progress.update(self._task, description=self._title, advance=1)
+        self._done += 1
+        count = f"{self._done}/{'?' if self._total is None else self._total}"
+        self._progress.update(self._task, description=self._title, advance=1, count=count)
         if point.ok and point.loss < self._best:
             self._best, self._values = point.loss, _values(point)
             self._progress.update(self._task, loss=f"rms {1e3 * point.rms:.4g} mm")
@@ -120,8 +124,14 @@ class Bar(AbstractMeter):
     def _finish(self):
         """An optimiser that stopped early is done, not at 20 %."""
         if self._task is not None:
-            done = self._progress.tasks[-1].completed
-            self._progress.update(self._task, total=done, completed=done)
+            # What evaluated nothing has no bar: 0 of 0 says nothing.
+            self._progress.update(
+                self._task,
+                total=self._done,
+                completed=self._done,
+                count=f"{self._done}/{self._done}",
+                visible=self._done > 0,
+            )
 
     def _render(self):
         from rich.console import Group

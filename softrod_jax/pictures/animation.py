@@ -2,6 +2,8 @@
 
 import base64
 import io
+import shutil
+import subprocess
 from os import PathLike
 from pathlib import Path
 
@@ -10,7 +12,6 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from PIL import Image
 
-from softrod_jax.dynamics import Trajectory
 from softrod_jax.pictures.body import Line, body_of, line_along
 from softrod_jax.pictures.drawing import (
     POINTS,
@@ -30,7 +31,7 @@ MOST_FRAMES = 600
 
 def animate(
     scene: Scene,
-    trajectory: Trajectory,
+    trajectory,
     path: str | PathLike,
     tensions=None,
     pressures=None,
@@ -41,8 +42,10 @@ def animate(
     size: tuple[int, int] = (480, 440),
     measured_tip=None,
 ) -> Path:
-    """Write a motion to `path`, a .gif or an .html that needs no other file and no network.
+    """Write a motion to `path`: a .gif, an .mp4, or an .html that needs no other file and no
+    network. (`film` writes one that can be turned.)
 
+    - `trajectory`: a `Trajectory`, or what else has `ts`, `positions`, `quaternions` and `strains`.
     - `tensions` [N], (steps, tendons), and `pressures` [Pa], (steps, chambers): as in `simulate`;
       a tendon is drawn the wider and a chamber the darker, the larger its input.
     - `speed`: of the film, 1 being real time. `fps`: frames a second, at most 50 in a GIF. A frame
@@ -51,19 +54,25 @@ def animate(
     - `measured_tip` [m], (steps + 1, 3): dots, as far as it is known.
 
     Returns `path`. Raises `ValueError` for a failed motion, a batch, another ending of the name,
-    and more than 600 frames.
+    more than 600 frames, and an .mp4 where ffmpeg is not installed.
     """
     path = Path(path)
     check_solved("animate", trajectory)
     kind = path.suffix.lower()
-    if kind not in (".gif", ".html"):
-        raise ValueError(f"animate: {path}: the name ends in {kind!r}; expected .gif or .html")
+    if kind not in (".gif", ".html", ".mp4"):
+        raise ValueError(
+            f"animate: {path}: the name ends in {kind!r}; expected .gif, .mp4 or .html"
+        )
+    if kind == ".mp4" and shutil.which("ffmpeg") is None:
+        raise ValueError(f"animate: {path}: an .mp4 needs ffmpeg; install it, or write a .gif")
     if not (speed > 0 and np.isfinite(speed)):
         raise ValueError(f"animate: speed={speed}; a positive number is needed")
     if not 0 < fps <= 50:
         raise ValueError(f"animate: fps={fps}; a number above 0 and up to 50 is needed")
     shown = _shown(np.asarray(trajectory.ts), speed, fps)
     frames = _frames(scene, trajectory, tensions, pressures, shown, speed, view, size, measured_tip)
+    if kind == ".mp4":
+        return _encoded(frames, path, fps)
     # A GIF counts in hundredths of a second.
     wait = max(round(100 / fps), 2) * 10 if kind == ".gif" else 1000 / fps
     if kind == ".gif":
@@ -73,6 +82,20 @@ def animate(
             "FRAMES", ",\n".join(f'"{_data(frame)}"' for frame in frames)
         )
         path.write_text(page, encoding="utf-8")
+    return path
+
+
+def _encoded(frames: list[Image.Image], path: Path, fps: float) -> Path:
+    """The frames as an .mp4, by ffmpeg."""
+    width, height = frames[0].size
+    command = ["ffmpeg", "-y", "-loglevel", "error", "-f", "rawvideo", "-pix_fmt", "rgb24"]
+    command += ["-s", f"{width}x{height}", "-r", f"{fps:g}", "-i", "-", "-pix_fmt", "yuv420p"]
+    # Its usual coding of colours needs even sizes.
+    command += ["-vf", "pad=ceil(iw/2)*2:ceil(ih/2)*2", str(path)]
+    raw = b"".join(frame.convert("RGB").tobytes() for frame in frames)
+    done = subprocess.run(command, input=raw, capture_output=True)
+    if done.returncode:
+        raise ValueError(f"animate: {path}: ffmpeg: {done.stderr.decode(errors='replace').strip()}")
     return path
 
 

@@ -51,7 +51,7 @@ def rod_axes(
     low, high = low - room / 2, high + room / 2
 
     size, unit = unit_of(scene)
-    vertical, sign = _up(scene)
+    vertical, sign = upright(scene)
     with rc_context({"grid.color": "#d8dade", "grid.linewidth": 0.6}):
         axes = figure.add_subplot(place, projection="3d", computed_zorder=False)
     flipped = set() if sign > 0 else {vertical, (vertical + 2) % 3}
@@ -203,7 +203,7 @@ def unit_of(scene) -> tuple[float, str]:
     return (1e3, "mm") if float(scene.length) < 1 else (1.0, "m")
 
 
-def _up(scene) -> tuple[int, int]:
+def upright(scene) -> tuple[int, int]:
     """The axis that is drawn upright, and whether its positive (1) or negative (-1) end is up."""
     if scene.gravity is None or not np.any(scene.gravity):
         return 2, 1

@@ -124,7 +124,7 @@ class SDIRK(AbstractTimeScheme):
 
     def start(self, y, guess):
         before = jax.tree.map(lambda x: jnp.stack([x] * (self.stages + 1)), guess)
-        return y, before, jnp.array(1.0), jax.tree.map(jnp.zeros_like, y)
+        return y, before, jnp.ones(()), jax.tree.map(jnp.zeros_like, y)
 
     def step(self, memory, coefficients, solve, carry):
         (y0, before, dt_before, first_rate), (dt, smooth) = memory, coefficients

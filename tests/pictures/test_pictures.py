@@ -218,7 +218,7 @@ def test_bad_input(tmp_path):
     no_number = arc(20.0)
     no_number.positions = np.full((13, 3), np.nan)
     for call, message in (
-        (lambda: film("a.mp4"), r"a.mp4: the name ends in '.mp4'; expected .gif or .html"),
+        (lambda: film("a.avi"), r"a.avi: the name ends in '.avi'; expected .gif, .mp4 or .html"),
         (lambda: film("a.gif", trajectory=failed), "nothing to draw: Newton"),
         (lambda: film("a.gif", trajectory=batch), r"a batch of \(3,\); take one sample"),
         (lambda: film("a.gif", trajectory=endless, fps=50), "2001 frames.*raise speed"),

@@ -18,7 +18,7 @@ STEP = ["--dt", "0.1", "--duration", "1"]
 
 # The command line, files that it needs, and what the message must say.
 BAD = [
-    ([], {}, ["COMMAND", "softrod --help"]),
+    (["--colour"], {}, ["COMMAND", "softrod --help"]),
     (["solv", "robot.toml"], {}, ["'solv'", "solve"]),
     (["solve"], {}, ["SCENE.toml"]),
     (["solve", "absent.toml"], {}, ["absent.toml", "No such file"]),
@@ -61,6 +61,18 @@ BAD = [
         {"a.csv": LOG.replace("1,1,1,1,1\n", "")},
         ["one row", "--duration"],
     ),
+    (["film", "robot.toml"], {}, ["robot.toml", "SCENE.toml and LOG"]),
+    (["film", "a.csv", "robot.toml", "--out", "a.png"], {}, ["--out a.png", ".mp4"]),
+    (["film", "."], {}, ["motions.npz", "No such file", "softrod calibrate"]),
+    (["film", ".", "--dt", "1"], {}, ["--dt: for a scene and a log only"]),
+    (["film", ".", "--out", "a.html", "--fps", "9"], {}, ["--fps", "leave it out"]),
+    (["import", "a.csv", "b.csv"], {}, ["a.csv b.csv", "one table"]),
+    (["import", "absent.csv"], {}, ["absent.csv", "No such file"]),
+    (["import", "a.csv", "--tip", "X", "Y", "Z"], {"a.csv": LOG}, ["no column 'X' (--tip)"]),
+    (["view", "absent.toml"], {}, ["absent.toml", "No such file"]),
+    (["view", "robot.toml", "--log", "no/a.csv"], {}, ["--log no/a.csv", "not exist"]),
+    (["simulate", "robot.toml", *STEP, "--mapping", "m.toml"], {}, ["--mapping", "--log"]),
+    (["plot", "robot.toml", "--mapping", "m.toml"], {}, ["--mapping: for a log only"]),
     (["plot"], {}, ["FILE"]),
     (["plot", "absent.csv"], {}, ["absent.csv", "No such file"]),
     (["plot", "a.csv"], {"a.csv": LOG}, ["a.csv: row 1", "tip_x_m is missing"]),
@@ -112,7 +124,7 @@ def test_errors_while_writing(capsys, asked, monkeypatch):
     def full(*_, **__):
         raise OSError(28, "No space left on device", "out.csv")
 
-    monkeypatch.setattr("calibration.data.recording.write_log", full)
+    monkeypatch.setattr("softrod_jax.scene.logs.write_log", full)
     status, _, err = run(capsys, "simulate", "robot.toml", *STEP, "--out", "out.csv")
     assert status == 2
     assert err == "softrod: error: out.csv: No space left on device\n"

@@ -11,7 +11,9 @@ import softrod_jax as sr
 from calibration import calibrate
 from calibration.cli.common import UsageError
 from calibration.cli.exclusive import alone_in
+from calibration.cli.main import main
 from calibration.parameters.unknowns import choose_unknowns
+from calibration.report.films import FilmError, read_motions
 from calibration.report.writing import as_json, summary, write_report
 from softrod_jax.scene.scene import as_arrays
 
@@ -49,6 +51,38 @@ def test_a_name_is_text_wherever_it_is_shown(plain, tmp_path):
     write_report(evil, tmp_path)
     page = (tmp_path / "report.html").read_text()
     assert "<img src=x" not in page and "&lt;img src=x" in page
+
+
+def test_films_show_the_fitted_rod_beside_the_measured_tip(plain, tmp_path):
+    """As far apart as the fit says, also when they are read back for another film."""
+    write_report(plain, tmp_path)
+    assert "href='film_1_release.html'" in (tmp_path / "report.html").read_text()
+    assert (tmp_path / "film_2_other.html").stat().st_size > 20_000
+    _, motions = read_motions(tmp_path)
+    assert [m.kept_aside for m in motions] == [False, True]
+    for filmed, fitted in zip(motions, (*plain.recordings, *plain.held_out), strict=True):
+        rod, seen = filmed.motion, filmed.motion.seen
+        tip = rod.positions[:, -1]
+        there = np.stack([np.interp(rod.seen_times, rod.ts, c) for c in tip.T], axis=1)
+        rms = np.sqrt(np.mean(np.sum((there - seen) ** 2, axis=1)))
+        assert rms == pytest.approx(fitted.rmse, rel=0.03)  # straight lines between steps
+        assert rod.quaternions.shape[:2] == rod.strains.shape[:2] == rod.positions.shape[:2]
+    main(["film", str(tmp_path), "--recording", "other", "--out", str(tmp_path / "own.html")])
+    assert ", kept aside and predicted</title>" in (tmp_path / "own.html").read_text()
+    assert main(["film", str(tmp_path), "--recording", "none"]) == 2
+    (tmp_path / "motions.npz").write_bytes(b"PK")
+    with pytest.raises(FilmError, match="fit again"):
+        read_motions(tmp_path)
+
+
+def test_a_fit_shows_itself_in_a_notebook(plain):
+    text, page = plain.summary(), plain._repr_html_()
+    for label, estimate in plain.parameters.items():
+        for shown in (text, page):
+            assert label in shown and f"{estimate.value:.4g}" in shown
+    assert text == summary(plain) and "release: " in text and "mm rms" in page
+    evil = replace(plain, result=EVIL)
+    assert "<img" not in evil._repr_html_()
 
 
 def test_what_the_intervals_take_for_granted_is_said(plain):

@@ -1,0 +1,1 @@
+"""Scene files to start from, commented: `softrod init NAME` copies one."""
