@@ -42,7 +42,9 @@ def add_arguments(parser) -> None:
 def _add_what(parser) -> None:
     """What is fitted to what, and where the results go."""
     parser.add_argument("scene", nargs="?", metavar="SCENE.toml", help="the scene file")
-    parser.add_argument("logs", nargs="*", metavar="LOG", help="recordings")
+    parser.add_argument(
+        "logs", nargs="*", metavar="LOG", help="recordings, or patterns such as 'run_*.csv'"
+    )
     parser.add_argument(
         "--fit",
         metavar="NAME,..",
@@ -153,7 +155,7 @@ def _add_data(data) -> None:
         metavar="NAME=V1,V2,..",
         nargs="+",
         help="in what the recordings differ from the scene, such as payload_mass=0,0.052: a value "
-        "for each LOG, then for each of --held-out",
+        "for each recording, then for each of --held-out, or one for all",
     )
     data.add_argument(
         "--look", action="store_true", help="plot the recordings to DIR/data.png, and stop there"
@@ -226,13 +228,15 @@ def run(args) -> int:
     except ImportError as e:
         raise UsageError(f"{e}: pip install 'softrod_jax[calibration]'") from None
 
+    from calibration.data.trials import files_of
+
     scene = sr.load_scene(scene_path)
     held_out_paths = args.held_out or []
-    read = _recordings(args, [*log_paths, *held_out_paths], scene)
-    read = _conditioned(read, args.condition or ())
-    recordings, held_out = (
-        _cut(args, part) for part in (read[: len(log_paths)], read[len(log_paths) :])
-    )
+    log_paths, held_out_paths = files_of(log_paths), files_of(held_out_paths)
+    each = _recordings(args, [*log_paths, *held_out_paths], scene)
+    read = _conditioned([r for own in each for r in own], args.condition or ())
+    fitted = sum(map(len, each[: len(log_paths)]))
+    recordings, held_out = (_cut(args, part) for part in (read[:fitted], read[fitted:]))
     for recording in [*recordings, *held_out]:
         for assumption in recording.notes:
             note(f"{recording.name}: {assumption}")
@@ -293,7 +297,8 @@ def _drift(text: str) -> tuple[str, float]:
 
 
 def _recordings(args, paths, scene):
-    from calibration import load_recording
+    """Those in each of the files: more than one where a mapping divides it into trials."""
+    from calibration import load_recordings
 
     options = {
         name: value
@@ -310,15 +315,15 @@ def _recordings(args, paths, scene):
     if options and not any(is_c3d):
         names = ", ".join(f"--{name.replace('_', '-')}" for name in options)
         raise UsageError(f"{names}: for .c3d files only, and there is none; leave it out")
-    recordings = []
+    found = []
     for path, c3d in zip(paths, is_c3d, strict=True):
         mapping = args.mapping
         beside = Path(path).with_suffix(".map.toml")
         if mapping is None and beside.exists():
             mapping = beside
         own = options if c3d and mapping is None else {}
-        recordings.append(load_recording(path, scene, mapping=mapping, **own))
-    return recordings
+        found.append(load_recordings(path, scene, mapping=mapping, **own))
+    return found
 
 
 def _conditioned(recordings, conditions):
@@ -329,10 +334,12 @@ def _conditioned(recordings, conditions):
             numbers = [float(x) for x in values.split(",")]
         except ValueError:
             numbers = []
+        if len(numbers) == 1:
+            numbers *= len(recordings)
         if len(numbers) != len(recordings):
             raise UsageError(
                 f"--condition {text}: expected NAME= and {len(recordings)} "
-                f"number{'s'[: len(recordings) != 1]}, one for each recording"
+                f"number{'s'[: len(recordings) != 1]}, one for each recording, or one for all"
             )
         recordings = [
             replace(r, conditions={**r.conditions, name.strip(): value})

@@ -37,11 +37,12 @@ def run_postures(args) -> int:
         from calibration.postures.report import posture_summary, write_posture_report
     except ImportError as e:
         raise UsageError(f"{e}: pip install 'softrod_jax[calibration]'") from None
+    from calibration.data.trials import files_of
     from calibration.postures.data import joined, load_postures
     from calibration.postures.fitting import calibrate_postures
 
     scene = sr.load_scene(scene_path)
-    postures = joined([load_postures(log, scene) for log in logs])
+    postures = joined([load_postures(log, scene) for log in files_of(logs)])
     method = sr.Collocation() if args.intervals is None else sr.Collocation(args.intervals)
     out.mkdir(parents=True, exist_ok=True)
     with alone_in(out):

@@ -1,5 +1,6 @@
 """Reading a recording, whatever kind of file it is in."""
 
+from collections.abc import Sequence
 from os import PathLike
 from pathlib import Path
 
@@ -9,6 +10,7 @@ from calibration.data.c3d import read_c3d
 from calibration.data.log import read_log
 from calibration.data.mapping import read_mapped
 from calibration.data.recording import Recording, RecordingError
+from calibration.data.trials import files_of
 
 
 def load_recording(
@@ -30,12 +32,39 @@ def load_recording(
 
     Raises `RecordingError` (a `ValueError`) naming file, row, column, value and remedy.
     """
+    found = load_recordings(path, scene, mapping=mapping, need_tip=need_tip, **c3d_options)
+    if len(found) > 1:
+        raise RecordingError(
+            f"{path}: holds {len(found)} trials, {', '.join(r.name for r in found[:20])}: read "
+            "them with load_recordings, or choose one with [trials] only"
+        )
+    return found[0]
+
+
+def load_recordings(
+    paths: str | PathLike | Sequence[str | PathLike],
+    scene=None,
+    *,
+    mapping: str | PathLike | None = None,
+    need_tip: bool = True,
+    **c3d_options,
+) -> list[Recording]:
+    """All recordings in the files `paths`, among which may be patterns such as "run_*.csv".
+
+    A mapping may divide a file into trials, see `calibration.data.mapping`; each of them is a
+    recording. Everything else is as for `load_recording`.
+    """
+    given = [paths] if isinstance(paths, str | PathLike) else paths
     # A number near the largest becomes infinite on the way, and is then out of reach.
     with np.errstate(over="ignore", invalid="ignore"):
-        return _load(path, scene, mapping, need_tip, c3d_options)
+        return [
+            recording
+            for path in files_of(given)
+            for recording in _load(path, scene, mapping, need_tip, c3d_options)
+        ]
 
 
-def _load(path, scene, mapping, need_tip, c3d_options) -> Recording:
+def _load(path, scene, mapping, need_tip, c3d_options) -> list[Recording]:
     suffix = Path(path).suffix.lower()
     if c3d_options and (suffix != ".c3d" or mapping is not None):
         names = ", ".join(c3d_options)
@@ -47,9 +76,9 @@ def _load(path, scene, mapping, need_tip, c3d_options) -> Recording:
             raise RecordingError(f"{path}: to read it by a mapping, give the scene")
         return read_mapped(path, mapping, scene)
     if suffix == ".csv":
-        return read_log(path, scene, need_tip=need_tip)
+        return [read_log(path, scene, need_tip=need_tip)]
     if suffix == ".c3d":
-        return read_c3d(path, scene, **c3d_options)
+        return [read_c3d(path, scene, **c3d_options)]
     raise RecordingError(
         f"{path}: unknown kind of recording {suffix!r}: expected .csv or .c3d; .mat, .h5 and "
         ".parquet need a mapping that says which columns are what"

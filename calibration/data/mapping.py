@@ -30,6 +30,10 @@
     position = [0.02, 0.0, 0.0]         # m, where the marker is in the scene's frame
     [conditions]                        # in what this experiment differs from the scene
     payload_mass = 0.052
+    [trials]                            # of a file that holds several, each a recording
+    column = "run"                      # rows with the same number or text belong together
+    only = [1, 3]                       # which of them; absent: all
+                                        # or windows = [[0.0, 3.5], [10.0, 14.0]]: start and end [s]
     [csv]                               # of text files
     delimiter = ";"                     # or "tab", "space"; found if absent, as the next three
     skip_rows = 3                       # lines before the header
@@ -63,20 +67,32 @@ from calibration.data.recording import Recording, RecordingError
 from calibration.data.table import Table
 from calibration.data.tables import read_table
 from calibration.data.text_tables import TextOptions
+from calibration.data.trials import cut, trials_of
 from calibration.data.unseen import at_zero, base_is_zero
 from softrod_jax.scene.inputs import KINDS
 
 _FILL = "fill it in or delete the row"
 
 
-def read_mapped(path: str | PathLike, mapping: str | PathLike, scene) -> Recording:
-    """The recording in `path`, as the mapping file `mapping` describes it; for `scene`.
+def read_mapped(path: str | PathLike, mapping: str | PathLike, scene) -> list[Recording]:
+    """The recordings in `path`, as the mapping file `mapping` describes it; for `scene`. There is
+    one unless [trials] divides the file.
 
     Raises `RecordingError` naming file, row, column, value and remedy; for a mapping that cannot
     be, naming its key.
     """
     spec = read_toml(mapping)
     table = read_table(path, _text_options(spec.table("csv", required=False)))
+    trials = trials_of(table, spec.table("trials", required=False))
+    found = [_read(path, mapping, part, label, scene) for label, part in trials.parts]
+    return [part for recording in found for part in cut(recording, trials.windows)]
+
+
+def _read(path, mapping, table: Table, label: str, scene) -> Recording:
+    """The recording in the table, which is all of the file or its trial `label`."""
+    spec = read_toml(mapping)
+    # Read already: how the file is written, and what of it this is.
+    spec.asked |= {"csv", "trials"}
     clock = TimeColumn(table, spec.table("time", required=table.interval is None))
     tip, clock_of_tip, notes, known, source = _tip(table, spec, clock, scene)
     inputs = {
@@ -99,7 +115,7 @@ def read_mapped(path: str | PathLike, mapping: str | PathLike, scene) -> Recordi
         times=times,
         **columns,
         tip_positions=merged,
-        name=Path(path).stem,
+        name=f"{Path(path).stem}-{label}" if label else Path(path).stem,
         source=str(path),
         origin_known=known,
         notes=(*table.notes, *dated, *notes, *clipped, *said),
