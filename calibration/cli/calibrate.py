@@ -17,6 +17,7 @@ from calibration.cli.common import (
     number,
     positive,
     prepare_jax,
+    prior_in,
 )
 from calibration.cli.exclusive import alone_in
 
@@ -80,7 +81,7 @@ def _add_what(parser) -> None:
         "--prior",
         metavar="NAME=MEAN:SPREAD",
         nargs="+",
-        help="with --postures: what is known beforehand, such as density=1070:20",
+        help="what is known beforehand, mean and standard deviation, such as density=1070:20",
     )
     parser.add_argument(
         "--folds",
@@ -158,6 +159,12 @@ def _add_data(data) -> None:
         "for each recording, then for each of --held-out, or one for all",
     )
     data.add_argument(
+        "--one-frame",
+        action="store_true",
+        help="recordings that do not know where the clamp is were made with one set-up: fit one "
+        "frame to all, not another to each",
+    )
+    data.add_argument(
         "--look", action="store_true", help="plot the recordings to DIR/data.png, and stop there"
     )
     data.add_argument(
@@ -206,9 +213,8 @@ def run(args) -> int:
         from calibration.cli.postures import run_postures
 
         return run_postures(args)
-    for name in ("prior", "folds"):
-        if getattr(args, name) is not None:
-            raise UsageError(f"--{name}: for --postures only; leave it out")
+    if args.folds is not None:
+        raise UsageError("--folds: for --postures only; leave it out")
     scene_path, log_paths = (args.scene, args.logs) if args.scene else _example()
     if not log_paths:
         raise UsageError("no recordings: give at least one LOG after the scene")
@@ -216,7 +222,7 @@ def run(args) -> int:
     if out.exists() and not out.is_dir():
         raise UsageError(f"--out {out}: is a file; give a directory")
     # What can be told to be wrong is told before anything is computed.
-    for text, reads in ((args.bounds, bound_in), (args.drift, _drift)):
+    for text, reads in ((args.bounds, bound_in), (args.prior, prior_in), (args.drift, _drift)):
         for part in text or ():
             reads(part)
     prepare_jax()
@@ -269,6 +275,8 @@ def _fitted(args, scene, recordings, held_out, out: Path):
         fit=names_in(args.fit) or None,
         per_recording=names_in(args.per_recording),
         bounds=dict(bound_in(text) for text in args.bounds or ()),
+        priors=dict(prior_in(text) for text in args.prior or ()),
+        one_frame=args.one_frame,
         held_out=held_out,
         time_offset=not args.no_time_offset,
         optimiser=args.optimiser,

@@ -14,14 +14,12 @@ from calibration.cli.common import (
     UsageError,
     check_writable,
     names_in,
-    pair_in,
     positive,
     prepare_jax,
     print_json,
+    prior_in,
 )
 from calibration.cli.common import intervals as interval_count
-
-_PRIOR = "NAME=MEAN:SPREAD, such as density=1070:20"
 
 
 def add_arguments(parser) -> None:
@@ -71,7 +69,7 @@ def add_arguments(parser) -> None:
 
 
 def run(args) -> int:
-    priors = dict(pair_in("prior", text, _PRIOR) for text in args.prior or ())
+    priors = dict(prior_in(text) for text in args.prior or ())
     scale = _noise_scale(args.noise_from) if args.noise_from else 1.0
     if args.out is not None:
         check_writable(args.out)

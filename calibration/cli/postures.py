@@ -4,12 +4,20 @@ import contextlib
 import os
 from pathlib import Path
 
-from calibration.cli.common import UsageError, bound_in, names_in, pair_in, prepare_jax
+from calibration.cli.common import UsageError, bound_in, names_in, prepare_jax, prior_in
 from calibration.cli.exclusive import alone_in
 
-_PRIOR = "NAME=MEAN:SPREAD, such as density=1070:20"
 _FOR_MOTIONS = ("per_recording", "held_out", "resume", "optimiser", "profile", "explain", "dt")
-_FOR_MOTIONS += ("mapping", "condition", "look", "window", "split", "drift", "tolerance")
+_FOR_MOTIONS += (
+    "mapping",
+    "condition",
+    "one_frame",
+    "look",
+    "window",
+    "split",
+    "drift",
+    "tolerance",
+)
 
 
 def run_postures(args) -> int:
@@ -21,7 +29,7 @@ def run_postures(args) -> int:
     if not args.fit:
         raise UsageError("--fit: name what to fit, such as young_modulus,tendons[*].friction")
     bounds = dict(bound_in(text) for text in args.bounds or ())
-    priors = dict(pair_in("prior", text, _PRIOR) for text in args.prior or ())
+    priors = dict(prior_in(text) for text in args.prior or ())
     out = Path(args.out)
     if out.exists() and not out.is_dir():
         raise UsageError(f"--out {out}: is a file; give a directory")

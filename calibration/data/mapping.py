@@ -94,7 +94,7 @@ def _read(path, mapping, table: Table, label: str, scene) -> Recording:
     # Read already: how the file is written, and what of it this is.
     spec.asked |= {"csv", "trials"}
     clock = TimeColumn(table, spec.table("time", required=table.interval is None))
-    tip, clock_of_tip, notes, known, source = _tip(table, spec, clock, scene)
+    tip, clock_of_tip, notes, placed, source = _tip(table, spec, clock, scene)
     inputs = {
         kind.name: [_input(table, part, kind.quantity, clock) for part in spec.tables(kind.name)]
         for kind in KINDS
@@ -117,7 +117,8 @@ def _read(path, mapping, table: Table, label: str, scene) -> Recording:
         tip_positions=merged,
         name=f"{Path(path).stem}-{label}" if label else Path(path).stem,
         source=str(path),
-        origin_known=known,
+        origin_known=placed is None,
+        placed=placed,
         notes=(*table.notes, *dated, *notes, *clipped, *said),
         conditions=conditions,
         gaps=gaps,
@@ -187,7 +188,7 @@ def _tip(table: Table, spec: Spec, clock: TimeColumn, scene):
         )
     check_one_body(table.path, np.stack(placed, axis=1), [names[0] for names in found], scene)
     seen, meant = _base_markers(table, spec, place, count)
-    notes = []
+    notes, placed_by = [], None
     always = origin is None and not rest and not seen and base_is_zero(scene)
     for several in (placed, seen):
         for k, p in enumerate(several):
@@ -201,7 +202,7 @@ def _tip(table: Table, spec: Spec, clock: TimeColumn, scene):
     elif origin is not None:
         tip = tip - turn @ (unit * origin)
     if rest:
-        tip, note = from_rest(tip, scene, table.path)
+        tip, placed_by, note = from_rest(tip, scene, table.path)
         notes.append(note)
     now = next(name for name, size in units.UNITS["length"].items() if np.isclose(size, unit))
     source = Source(
@@ -211,7 +212,7 @@ def _tip(table: Table, spec: Spec, clock: TimeColumn, scene):
         origin=None if rest or seen else "[tip] rest = true, or the clamp as [tip] origin",
         now=now,
     )
-    return tip, at[there], notes, not rest, source
+    return tip, at[there], notes, placed_by, source
 
 
 def _base_markers(table: Table, spec: Spec, place, count: int):

@@ -27,6 +27,9 @@ class Setup(eqx.Module):
     - `gravity_tilt` [rad], (3,): rotation vector that turns the scene's gravity.
     - `clamp_rotation` [rad], (3,), and `clamp_shift` [m], (3,): how the clamp's pose differs from
       the scene's, in the base frame.
+    - `camera_rotation` [rad], (3,), and `camera_shift` [m], (3,): how what is seen is turned about
+      the origin and moved, by cameras whose frame is not the scene's. Unlike a clamp that is turned
+      they see gravity turned, too.
     """
 
     scene: sr.Scene
@@ -39,6 +42,8 @@ class Setup(eqx.Module):
     gravity_tilt: Float[Array, "3"] | None = None
     clamp_rotation: Float[Array, "3"] | None = None
     clamp_shift: Float[Array, "3"] | None = None
+    camera_rotation: Float[Array, "3"] | None = None
+    camera_shift: Float[Array, "3"] | None = None
 
     def simulated_scene(self) -> sr.Scene:
         """The scene with gravity and clamp as they are in this experiment."""
@@ -68,6 +73,22 @@ class Setup(eqx.Module):
             )
         return scene
 
+    def seen_direction(self, a: Float[Array, "*#n 3"]) -> Float[Array, "*#n 3"]:
+        """A vector of the base frame as the cameras see it."""
+        rotation = self.camera_rotation
+        return a if rotation is None else rotated(_quaternion(rotation), a)
+
+    def seen_position(self, p: Float[Array, "*#n 3"]) -> Float[Array, "*#n 3"]:
+        """A place [m] as the cameras see it."""
+        p = self.seen_direction(p)
+        return p if self.camera_shift is None else p + self.camera_shift
+
+    def seen_attitude(self, h: Float[Array, "*#n 4"]) -> Float[Array, "*#n 4"]:
+        """A unit quaternion as the cameras see it."""
+        if self.camera_rotation is None:
+            return h
+        return _product(_quaternion(self.camera_rotation), h)
+
     def arriving(self, inputs: Inputs) -> Inputs:
         """The inputs that reach the robot when `inputs` are commanded."""
         if inputs.tensions is not None and self.tendon_efficiency is not None:
@@ -94,6 +115,7 @@ def _quaternion(rotation: Float[Array, "3"]) -> Float[Array, "4"]:
     return jnp.concatenate([jnp.cos(angle / 2)[None], jnp.sin(angle / 2) / angle * rotation])
 
 
-def _product(a: Float[Array, "4"], b: Float[Array, "4"]) -> Float[Array, "4"]:
-    w = a[0] * b[0] - jnp.dot(a[1:], b[1:])
-    return jnp.concatenate([w[None], a[0] * b[1:] + b[0] * a[1:] + jnp.cross(a[1:], b[1:])])
+def _product(a: Float[Array, "*#n 4"], b: Float[Array, "*#n 4"]) -> Float[Array, "*#n 4"]:
+    (v, r), (w, s) = ((x[..., :1], x[..., 1:]) for x in (a, b))
+    first = v * w - jnp.sum(r * s, axis=-1, keepdims=True)
+    return jnp.concatenate([first, v * s + w * r + jnp.cross(r, s)], axis=-1)

@@ -203,6 +203,8 @@ def _of_the_bench(scene: sr.Scene) -> list[_Entry]:
         ("gravity_tilt", "rad", _ANGLE, weighs),
         ("clamp_rotation", "rad", _ANGLE, True),
         ("clamp_shift", "m", _ON_THE_BENCH, True),
+        ("camera_rotation", "rad", _ANGLE, True),
+        ("camera_shift", "m", _ON_THE_BENCH, True),
     ):
         if there:
             find = lambda setup, name=name: getattr(setup, name)

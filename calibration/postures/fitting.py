@@ -14,6 +14,12 @@ import softrod_jax as sr
 from calibration.experiment.setup import Setup
 from calibration.inference.uncertainty import IDENTIFIED, NOT_IDENTIFIABLE
 from calibration.parameters.catalogue import as_names, choose, parameters_of, prepared
+from calibration.parameters.priors import (
+    CONTRADICTED,
+    checked_pairs,
+    contradictions,
+    prior_rows,
+)
 from calibration.postures.data import Postures
 from calibration.postures.prediction import Evaluation, Model, coarse
 from calibration.report.results import Estimate
@@ -91,8 +97,8 @@ def calibrate_postures(
     begun = time.perf_counter()
     model = prepared_model(jax.tree.map(jnp.asarray, scene), postures, fit, method)
     names = [parameter.name for parameter in model.parameters]
-    priors = _pairs("priors", priors, names)
-    search = _Search(model, priors, _pairs("bounds", bounds, names))
+    priors = checked_pairs("priors", priors, names)
+    search = _Search(model, priors, checked_pairs("bounds", bounds, names))
     theta, best, count, converged = search.run(np.zeros(len(names)), max_evaluations)
     held_out = None
     if folds is not None:
@@ -109,7 +115,9 @@ def prepared_model(scene: sr.Scene, postures: Postures, fit, method: sr.Collocat
 def prior_information(model: Model, priors) -> Float[np.ndarray, "parameters parameters"]:
     """What priors say, at theta = 0."""
     names = [parameter.name for parameter in model.parameters]
-    _, J = _Search(model, _pairs("priors", priors, names), {}).prior_rows(np.zeros(len(names)))
+    _, J = _Search(model, checked_pairs("priors", priors, names), {}).prior_rows(
+        np.zeros(len(names))
+    )
     return J.T @ J
 
 
@@ -120,21 +128,6 @@ def _prepared(scene: sr.Scene, fit) -> tuple[Setup, tuple[str, ...]]:
         raise ValueError("fit: no parameters; name at least one")
     names = choose(scene, asked)
     return prepared(scene, names), names
-
-
-def _pairs(what: str, given, names) -> dict[str, tuple[float, float]]:
-    """Checked: two finite numbers for each name, the second above zero or above the first."""
-    out = {}
-    for name, pair in (given or {}).items():
-        if name not in names:
-            raise ValueError(f"{what}: {name!r} is not fitted; add it to fit, or leave it out")
-        first, second = (float(x) for x in pair)
-        least = 0.0 if what == "priors" else first
-        if not (np.isfinite(first) and least < second < np.inf):
-            meant = "(mean, standard deviation)" if what == "priors" else "(low, high)"
-            raise ValueError(f"{what}: {name} = {pair!r}; expected {meant}")
-        out[name] = (first, second)
-    return out
 
 
 @dataclass(frozen=True, eq=False)
@@ -185,13 +178,9 @@ class _Search:
     def prior_rows(self, theta):
         """(value - mean) / standard deviation, and the derivatives."""
         names = [p.name for p in self.model.parameters]
-        r, J = np.zeros(len(self.priors)), np.zeros((len(self.priors), len(theta)))
-        for k, (name, (mean, spread)) in enumerate(self.priors.items()):
-            i = names.index(name)
-            value = self._value(i)
-            r[k] = (float(value(theta[i])) - mean) / spread
-            J[k, i] = float(jax.grad(value)(float(theta[i]))) / spread
-        return r, J
+        place = {name: i for i, name in enumerate(names)}
+        rows = [(place[n], self._value(place[n]), *pair) for n, pair in self.priors.items()]
+        return prior_rows(rows, theta)
 
     def _value(self, i: int):
         """The mean of what a parameter stands for, as a function of theta."""
@@ -314,21 +303,9 @@ def _by_clusters(model: Model, r, J, weight: float, covariance):
 
 def _conflicts(search: _Search, theta, information) -> dict[str, float]:
     """Priors from which the data alone would be over three standard deviations away."""
-    if not search.priors:
-        return {}
-    names = [x.name for x in search.model.parameters]
-    r, J = search.prior_rows(theta)
-    out = {}
-    for k, name in enumerate(search.priors):
-        others = np.delete(np.arange(len(r)), k)
-        without = information + J[others].T @ J[others] + 1e-12 * np.eye(len(theta))
-        i = names.index(name)
-        spread = J[k, i] * np.sqrt(np.linalg.inv(without)[i, i])
-        # What is left of the pull of a prior tells how far the data alone would be.
-        apart = abs(r[k]) * (1 + spread**2) / np.sqrt(1 + spread**2)
-        if apart > 3.0:
-            out[name] = float(apart)
-    return out
+    apart = contradictions(*search.prior_rows(theta), information)
+    pairs = zip(search.priors, apart, strict=True)
+    return {name: float(x) for name, x in pairs if x > CONTRADICTED}
 
 
 def _student(freedom: float) -> float:

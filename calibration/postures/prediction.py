@@ -175,6 +175,7 @@ def _seen(setup: Setup, solution, markers) -> Seen:
         tip = markers.index("tip")
         at = positions[tip] + rotated(quaternions[tip], setup.sensor_offset)
         positions = positions.at[tip].set(at)
+    positions, quaternions = setup.seen_position(positions), setup.seen_attitude(quaternions)
     return Seen(positions, quaternions, solution.result, solution.stats["error"])
 
 

@@ -75,6 +75,7 @@ def simulate_motion(setup: Setup, batch: Batch, scheme, method) -> Motion:
         turning = jnp.cross(trajectory.velocities[:, -1, 3:], setup.sensor_offset)
         positions = positions + rotated(attitude, setup.sensor_offset)
         velocities = velocities + rotated(attitude, turning)
+    positions, velocities = setup.seen_position(positions), setup.seen_direction(velocities)
     error = jax.lax.stop_gradient(jnp.max(trajectory.stats["error"]))
     return Motion(positions, velocities, trajectory.positions, trajectory.result, error)
 
