@@ -8,6 +8,9 @@
     [tip]
     columns = ["X", "Y", "Z"]           # or markers = [["a.x", "a.y", "a.z"], ..]: their mean;
                                         # "" for a coordinate that was not measured
+    positions = [[0.01, 0, 0], ..]      # m, of three markers or more: where each is, seen from the
+                                        # middle of the tip, along the axes of its section; the tip
+                                        # is then fitted to them, and not their mean
     unit = "mm"
     axes = "-y,x,z"                     # which axes of the file are the scene's x, y, z
     missing = -9999.0                   # what stands for a sample that was not seen; or [0, -9999]
@@ -64,6 +67,7 @@ from calibration.data.mapped_columns import TimeColumn, check_interval, factor, 
 from calibration.data.mapping_file import Spec, read_toml
 from calibration.data.plausible import Source, check_pulls, check_reach
 from calibration.data.recording import Recording, RecordingError
+from calibration.data.rigid import tip_of_body
 from calibration.data.table import Table
 from calibration.data.tables import read_table
 from calibration.data.text_tables import TextOptions
@@ -166,6 +170,7 @@ def _tip(table: Table, spec: Spec, clock: TimeColumn, scene):
     missing = part.scalars("missing")
     turn = axes_matrix(part.text("axes", "x,y,z"), part.where)
     origin, rest = part.vector("origin", required=False), part.flag("rest")
+    positions = _positions(part, markers)
     if origin is not None and rest:
         raise RecordingError(f"{part.where}origin and {part.where}rest: one of them is too much")
     triples = [columns] if columns is not None else markers or [[]]
@@ -195,7 +200,11 @@ def _tip(table: Table, spec: Spec, clock: TimeColumn, scene):
             several[k], note = at_zero(p, always=always)
             notes += note
     there = ~np.isnan(at)
-    tip, seen = np.mean(placed, axis=0)[there], [s[there] for s in seen]
+    tip = np.mean(placed, axis=0)
+    if positions is not None:
+        tip, note = tip_of_body(np.stack(placed, axis=1), positions, part.where)
+        notes.append(note)
+    tip, seen = tip[there], [s[there] for s in seen]
     if seen:
         tip, note = from_base_markers(tip, seen, meant, spec.where)
         notes += note
@@ -213,6 +222,19 @@ def _tip(table: Table, spec: Spec, clock: TimeColumn, scene):
         now=now,
     )
     return tip, at[there], notes, placed_by, source
+
+
+def _positions(part: Spec, markers) -> np.ndarray | None:
+    """Where the markers are on the tip, (markers, 3) [m]; None if that is not said."""
+    what = "a list of 3 finite numbers for each of the markers"
+    given = part.get("positions", list, what, None, False)
+    if given is None:
+        return None
+    real = lambda x: isinstance(x, int | float) and not isinstance(x, bool) and abs(x) < np.inf
+    whole = all(isinstance(p, list) and len(p) == 3 and all(map(real, p)) for p in given)
+    if not whole or markers is None or len(given) != len(markers):
+        raise part.wrong("positions", given, what)
+    return np.array(given, dtype=float)
 
 
 def _base_markers(table: Table, spec: Spec, place, count: int):

@@ -11,6 +11,7 @@ import numpy as np
 import softrod_jax as sr
 from calibration.data.recording import RecordingError
 from calibration.postures.cells import Cells, read_cells
+from calibration.postures.quantities import quantities_of
 from softrod_jax.scene.inputs import KINDS, Inputs
 
 # The noise of a marker where nothing is said [m], and of an attitude [rad].
@@ -24,8 +25,11 @@ class Postures:
     - `inputs`: arrays (rows, actuators), or `None`.
     - `positions` [m], (rows, 3) by the name of a marker of the scene, or "tip"; NaN where missing.
     - `quaternions` (w, x, y, z), (rows, 4), likewise.
-    - `noise` [m]: of the markers, by name; `NOISE` where nothing is said. It weighs markers against
-      each other and against priors; how large it really is a fit tells.
+    - `others`: what else was measured, (rows, numbers) by key, such as "tension1"
+      (`calibration.postures.quantities`).
+    - `noise` [m]: of the markers, by name; `NOISE` where nothing is said; [rad] of the attitude of
+      one, by NAME_attitude; of what else was measured, by its key. It weighs measurements against
+      each other and against priors; how large it is altogether a fit tells.
     - `trials`: for each row what it belongs to, such as a pattern: rows of one are taken one after
       the other, and are kept aside together.
     - `name`, `source`: for messages and reports. `parts`: names and rows of the logs that it is
@@ -40,10 +44,12 @@ class Postures:
     name: str = "postures"
     source: str = ""
     parts: tuple[tuple[str, int], ...] = ()
+    others: Mapping[str, np.ndarray] = field(default_factory=dict)
 
     @property
     def rows(self) -> int:
-        each = (*self.positions.values(), *self.quaternions.values(), *self.inputs)
+        measured = self.positions, self.quaternions, self.others
+        each = (*(x for part in measured for x in part.values()), *self.inputs)
         return next((len(x) for x in each if x is not None), 0)
 
     @property
@@ -59,6 +65,7 @@ class Postures:
             inputs=Inputs(*map(chosen, self.inputs)),
             positions={k: x[rows] for k, x in self.positions.items()},
             quaternions={k: x[rows] for k, x in self.quaternions.items()},
+            others={k: x[rows] for k, x in self.others.items()},
             trials=tuple(self.labels[rows]) if self.trials else (),
             parts=(),
         )
@@ -93,6 +100,7 @@ def joined(logs: Sequence[Postures]) -> Postures:
         ", ".join(x.name for x in logs),
         "\n".join(x.source for x in logs),
         tuple((x.name, x.rows) for x in logs),
+        together(lambda x: x.others),
     )
 
 
@@ -102,13 +110,16 @@ def load_postures(path: str | PathLike, scene: sr.Scene) -> Postures:
     Columns in any order: `tau1_N`, .., `p1_Pa`, .., `pull1_m`, .. for all actuators of the scene
     that are driven so; `NAME_x_m`, `NAME_y_m`, `NAME_z_m` and `NAME_qw`, .., `NAME_qz` for markers
     of the scene, the tip among them, where an empty cell or `nan` is a missing number; and, where
-    they are there, `t_s`, `trial` (a name or a number) and `NAME_noise_m`, the same in all rows.
+    they are there, `t_s`, `trial` (a name or a number), `NAME_noise_m` and `NAME_noise_rad`, the
+    same in all rows, and the columns of `calibration.postures.quantities`.
 
     Raises `RecordingError` with file, row and column.
     """
     postures = _read(path, scene)
-    if not postures.positions and not postures.quaternions:
-        raise RecordingError(f"{path}: no marker: expected columns tip_x_m, tip_y_m, tip_z_m")
+    if not (postures.positions or postures.quaternions or postures.others):
+        raise RecordingError(
+            f"{path}: nothing was measured: expected columns such as tip_x_m, tip_y_m, tip_z_m"
+        )
     return postures
 
 
@@ -125,20 +136,22 @@ def load_candidates(
     """
     postures = _read(path, scene)
     known = ("tip", *(marker.name for marker in scene.markers or ()))
-    names = tuple(seen or (() if postures.positions or postures.quaternions else known))
+    measured = postures.positions or postures.quaternions or postures.others
+    names = tuple(seen or (() if measured else known))
     for name in names:
         if name not in known:
             raise RecordingError(f"{path}: the scene has no marker {name!r}; {', '.join(known)}")
     if not names:
         return postures
     nothing = {name: np.zeros((len(postures.labels), 3)) for name in names}
-    return replace(postures, positions=nothing, quaternions={})
+    return replace(postures, positions=nothing, quaternions={}, others={})
 
 
 def _read(path: str | PathLike, scene: sr.Scene) -> Postures:
     """What is in the log; there may be no marker."""
     cells = read_cells(path)
     inputs, used = _inputs(cells, scene)
+    known = sorted(used - _OTHERS)
     markers = ("tip", *(marker.name for marker in scene.markers or ()))
     positions, quaternions, noise = {}, {}, {}
     for name in markers:
@@ -147,17 +160,45 @@ def _read(path: str | PathLike, scene: sr.Scene) -> Postures:
             used |= set(columns)
             if all(c in cells.header for c in columns):
                 found[name] = cells.numbers(columns)
-        if (column := f"{name}_noise_m") in cells.header:
-            used.add(column)
-            noise[name] = float(cells.numbers([column], whole=True)[0, 0])
+        for key, column in ((name, f"{name}_noise_m"), (attitude_of(name), f"{name}_noise_rad")):
+            noise |= _noise(cells, key, column, used)
+    others = {}
+    for key, quantity in quantities_of(scene).items():
+        used |= set(quantity.columns)
+        there = [c for c in quantity.columns if c in cells.header]
+        if there:
+            values = np.full((len(cells.table), len(quantity.columns)), np.nan)
+            values[:, [quantity.columns.index(c) for c in there]] = cells.numbers(there)
+            others[key] = values
+        noise |= _noise(cells, key, quantity.noise_column, used)
     unknown = [name for name in cells.header if name not in used]
     if unknown:
         raise RecordingError(
             f"{path}: column {unknown[0]!r} is unknown; the scene's markers are "
-            f"{', '.join(markers)}, and its inputs {', '.join(sorted(used - _OTHERS))}"
+            f"{', '.join(markers)}, its inputs {', '.join(known)}, and what else can be measured "
+            f"is {', '.join(quantities_of(scene))}"
         )
     trials = cells.texts("trial") if "trial" in cells.header else ()
-    return Postures(inputs, positions, quaternions, noise, trials, Path(path).stem, str(path))
+    name = Path(path).stem
+    return Postures(inputs, positions, quaternions, noise, trials, name, str(path), others=others)
+
+
+def attitude_of(name: str) -> str:
+    """Under what the noise of a marker's attitude is."""
+    return f"{name}_attitude"
+
+
+def _noise(cells: Cells, key: str, column: str, used: set[str]) -> dict[str, float]:
+    """What a column says of the noise of `key`, if it is there."""
+    used.add(column)
+    if column not in cells.header:
+        return {}
+    value = float(cells.numbers([column], whole=True)[0, 0])
+    if not value > 0:
+        raise RecordingError(
+            f"{cells.path}: column {column}: {value:g}; a number above 0 is needed"
+        )
+    return {key: value}
 
 
 _QUATERNION = ("qw", "qx", "qy", "qz")

@@ -22,6 +22,7 @@ from calibration.parameters.priors import (
 )
 from calibration.postures.data import Postures
 from calibration.postures.prediction import Evaluation, Model, coarse
+from calibration.postures.quantities import quantities_of
 from calibration.report.results import Estimate
 from calibration.search.minimum import CalibrationError
 
@@ -33,6 +34,18 @@ _CLUSTERS = 3
 
 
 @dataclass(frozen=True, eq=False)
+class Compared:
+    """A quantity, (rows, numbers), simulated and measured, NaN where missing; `rms` of their
+    difference, and `noise`, as stated; all in `unit`."""
+
+    simulated: Float[np.ndarray, "rows numbers"]
+    measured: Float[np.ndarray, "rows numbers"]
+    rms: float
+    noise: float
+    unit: str
+
+
+@dataclass(frozen=True, eq=False)
 class PostureFit:
     """What fitting postures hands back.
 
@@ -40,6 +53,7 @@ class PostureFit:
     - `parameters`: an `Estimate` of each, by name.
     - `rmse_m` [m]: root mean square distance of all markers; `rmse_by_marker`, by name.
     - `simulated`, `measured` [m]: (rows, markers, 3) in the order of `markers`; NaN where missing.
+    - `others`: what else was measured: `Compared` by key (`calibration.postures.quantities`).
     - `unsolved`: how many rows have no equilibrium.
     - `noise_scale`: how many times larger residuals are than the noise that was stated.
     - `conflicts`: priors that the data contradict, by name: how many standard deviations apart.
@@ -55,6 +69,7 @@ class PostureFit:
     markers: tuple[str, ...]
     simulated: Float[np.ndarray, "rows markers 3"]
     measured: Float[np.ndarray, "rows markers 3"]
+    others: dict[str, Compared]
     unsolved: int
     noise_scale: float
     conflicts: dict[str, float]
@@ -95,6 +110,8 @@ def calibrate_postures(
     scene's values.
     """
     begun = time.perf_counter()
+    if folds is not None and not postures.positions:
+        raise ValueError("folds: the places of markers are predicted, and there are none")
     model = prepared_model(jax.tree.map(jnp.asarray, scene), postures, fit, method)
     names = [parameter.name for parameter in model.parameters]
     priors = checked_pairs("priors", priors, names)
@@ -275,6 +292,7 @@ def _assembled(model, search, theta, best, count, converged, held_out, begun) ->
         markers=model.markers,
         simulated=blank(best.seen.positions, best.solved[:, None, None]),
         measured=blank(target.positions, np.asarray(target.has_position)),
+        others=_compared(model, best),
         unsolved=int(np.sum(~best.solved)),
         noise_scale=float(scale),
         conflicts=_conflicts(search, theta, weight * flat.T @ flat),
@@ -286,6 +304,22 @@ def _assembled(model, search, theta, best, count, converged, held_out, begun) ->
         seconds=time.perf_counter() - begun,
         postures=model.postures,
     )
+
+
+def _compared(model: Model, best: Evaluation) -> dict[str, Compared]:
+    """What was measured besides markers, by key."""
+    out, at, known = {}, 0, quantities_of(model.setup.scene)
+    for key in model.others:
+        own = slice(at, at + len(known[key].columns))
+        at = own.stop
+        there = np.asarray(model.targets.has_others)[:, own]
+        seen = np.where(best.solved[:, None], np.asarray(best.seen.others)[:, own], np.nan)
+        measured = np.where(there, np.asarray(model.targets.others)[:, own], np.nan)
+        both = np.isfinite(seen - measured)
+        rms = float(np.sqrt(np.mean((seen - measured)[both] ** 2))) if both.any() else np.nan
+        noise = float(model.noise.others[own.start])
+        out[key] = Compared(seen, measured, rms, noise, known[key].unit)
+    return out
 
 
 def _by_clusters(model: Model, r, J, weight: float, covariance):
