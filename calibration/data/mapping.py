@@ -25,6 +25,8 @@
     [[pressures]]
     column = "P"
     unit = "kPa"
+                                        # of what was commanded and not recorded: column is absent,
+    steps = [[1.2, 20.0], [4.2, 0.0]]   # and from each time [s] on the value; before them it is 0
     [[pulls]]                           # one for each tendon that is driven by its length
     column = "Motor 1"
     unit = "mm"                         # of an angle in rad: scale = the pulley's radius in m
@@ -276,12 +278,19 @@ def _input(table: Table, part: Spec, kind: str, clock: TimeColumn):
     """Name, times and values [SI] of one actuator, without missing samples; labels, time's key."""
     own = part.table("time", required=False)
     clock = TimeColumn(table, own) if own.content else clock
-    name = table.find(part.text("column"))
-    values = table.numbers(name, f"inputs are needed in every row: {_FILL}")
-    times = clock.of(len(values), name)
+    steps = _steps(part)
+    if steps is None:
+        name = table.find(part.text("column"))
+        values = table.numbers(name, f"inputs are needed in every row: {_FILL}")
+        times = clock.of(len(values), name)
+    else:
+        name = f"{part.where}steps"
+        times = clock.of(max(len(x) for x in table.columns.values()), name)
+        values = _stepped(part, steps, times)
     given = part.number("scale", None)
     scale, offset = 1.0 if given is None else given, part.number("offset", 0.0)
-    values = factor(table, part, kind, [name], given is not None) * scale * (values + offset)
+    own = [] if steps is not None else [name]
+    values = factor(table, part, kind, own, given is not None) * scale * (values + offset)
     part.done()
     there = ~np.isnan(times)
     for k in np.flatnonzero(there & ~np.isfinite(values))[:1]:
@@ -293,6 +302,29 @@ def _input(table: Table, part: Spec, kind: str, clock: TimeColumn):
         raise RecordingError(f"{table.path}: column {name}: no sample has a time")
     labels = [table.row(int(k), len(values)) for k in np.flatnonzero(there)]
     return name, times[there], values[there], labels, f"{part.where}time."
+
+
+def _steps(part: Spec) -> np.ndarray | None:
+    """What was commanded, pairs (time [s], value); None where a column has it."""
+    what = "a list of pairs [time in s, value], times increasing"
+    given = part.get("steps", list, what, None, False)
+    if given is None:
+        return None
+    if "column" in part.content:
+        raise RecordingError(f"{part.where}column and {part.where}steps: one of them is too much")
+    real = lambda x: isinstance(x, int | float) and not isinstance(x, bool) and abs(x) < np.inf
+    good = given and all(isinstance(p, list) and len(p) == 2 and all(map(real, p)) for p in given)
+    if not good or np.any(np.diff([p[0] for p in given]) <= 0):
+        raise part.wrong("steps", given, what)
+    return np.array(given, dtype=float)
+
+
+def _stepped(part: Spec, steps: np.ndarray, times: np.ndarray) -> np.ndarray:
+    """The command at each of the times."""
+    if times.dtype.kind == "M":
+        raise RecordingError(f"{part.where}steps: are in seconds, and the clock is one of dates")
+    k = np.searchsorted(steps[:, 0], times, side="right")
+    return np.concatenate([[0.0], steps[:, 1]])[k]
 
 
 def _check_counts(mapping, inputs, scene) -> None:

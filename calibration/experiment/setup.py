@@ -5,11 +5,12 @@ that ignores the bench pushes its errors into the material. What is `None` is no
 """
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 import softrod_jax as sr
-from softrod_jax.scene.inputs import Inputs
+from softrod_jax.scene.inputs import KINDS, Inputs
 
 
 class Setup(eqx.Module):
@@ -19,6 +20,11 @@ class Setup(eqx.Module):
     - `tendon_efficiency` [1], (tendons driven by tension,): tension that arrives / commanded.
     - `pull_gain` [1] and `pull_offset` [m], (tendons driven by length,): the pull that arrives is
       gain * commanded + offset, as of a servo's drum and its zero.
+    - `pressure_lag`, `tension_lag`, `pull_lag` [s]: of valves or servos between command and robot,
+      of first order: what arrives follows the command with this time constant; in motions only.
+    - `pressure_gain` [1/bar, 1/bar^2], (2,): how thrust grows faster than pressure, as of a chamber
+      that widens: what acts at the pressure p is p (1 + g1 p + g2 p^2), with p in bar inside the
+      parentheses.
     - `release_duration` [s]: how long a hand takes to let go, see `calibration.experiment.release`;
       of recordings without inputs only.
     - `sensor_offset` [m], (3,): the marker seen from the tip, in the tip's own frame.
@@ -36,6 +42,10 @@ class Setup(eqx.Module):
     tendon_efficiency: Float[Array, "tendons"] | None = None
     pull_gain: Float[Array, "by_length"] | None = None
     pull_offset: Float[Array, "by_length"] | None = None
+    pressure_lag: Float[Array, ""] | None = None
+    tension_lag: Float[Array, ""] | None = None
+    pull_lag: Float[Array, ""] | None = None
+    pressure_gain: Float[Array, "2"] | None = None
     release_duration: Float[Array, ""] | None = None
     sensor_offset: Float[Array, "3"] | None = None
     payload_offset: Float[Array, "3"] | None = None
@@ -99,7 +109,38 @@ class Setup(eqx.Module):
             pulls = pulls if self.pull_gain is None else self.pull_gain * pulls
             pulls = pulls if self.pull_offset is None else pulls + self.pull_offset
             inputs = inputs._replace(pulls=pulls)
+        if inputs.pressures is not None and self.pressure_gain is not None:
+            p = jnp.asarray(inputs.pressures)
+            g1, g2 = self.pressure_gain
+            inputs = inputs._replace(pressures=p * (1 + g1 * (p / BAR) + g2 * (p / BAR) ** 2))
         return inputs
+
+    def arriving_in_time(self, inputs: Inputs, dt: Float[Array, ""]) -> Inputs:
+        """The inputs that reach the robot in each step, (steps + 1, actuators) each; row 0 is held
+        at the beginning, row k + 1 is commanded during step k of `dt` [s]."""
+        for kind in KINDS:
+            lag, values = getattr(self, f"{kind.one}_lag"), getattr(inputs, kind.name)
+            if lag is not None and values is not None:
+                inputs = inputs._replace(**{kind.name: lagged(values, lag, dt)})
+        return self.arriving(inputs)
+
+
+BAR = 1e5  # Pa
+
+
+def lagged(
+    commanded: Float[Array, "rows n"], lag: Float[Array, ""], dt: Float[Array, ""]
+) -> Float[Array, "rows n"]:
+    """What follows a command with a lag of first order [s]: its mean over each step of `dt` [s], in
+    which the command is held. It has settled at row 0."""
+    kept = jnp.exp(-dt / lag)
+    mean = (1 - kept) * lag / dt
+
+    def step(now, command):
+        return command + kept * (now - command), command + mean * (now - command)
+
+    _, means = jax.lax.scan(step, commanded[0], commanded[1:])
+    return jnp.concatenate([commanded[:1], means])
 
 
 def rotated(h: Float[Array, "*#n 4"], a: Float[Array, "*#n 3"]) -> Float[Array, "*#n 3"]:

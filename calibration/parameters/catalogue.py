@@ -33,6 +33,8 @@ _ON_THE_BENCH = Shift(1e-3)  # m
 _IN_THE_SECTION = Shift(2e-4)  # m
 _RELEASE = 0.03  # s, where the search for a release's duration starts
 _ANGLE = Shift(float(np.pi / 180))  # rad
+_LAG = 0.03  # s, where the search for that of a valve or servo starts
+_GAINS = Shift(0.5), Shift(2.0)  # of thrust over pressure, by bar and by bar squared
 
 
 def _scene(name: str) -> Callable:
@@ -77,6 +79,7 @@ def catalogue(scene: sr.Scene) -> tuple[dict[str, Parameter], dict[str, tuple[st
         *_of_material(scene),
         *_of_tendons(scene),
         *_of_chambers(scene),
+        *_between_command_and_robot(scene),
         *_of_the_bench(scene),
     ]
     groups: dict[str, tuple[str, ...]] = {}
@@ -187,6 +190,24 @@ def _of_chambers(scene: sr.Scene) -> list[_Entry]:
         *_group("chamber_position", "m", centres, _IN_THE_SECTION, _xy(count), allowed=inside),
         *_group("chamber_area_each", "m^2", areas, Factor(), _numbered(count)),
     ]
+
+
+def _between_command_and_robot(scene: sr.Scene) -> list[_Entry]:
+    """The lags of valves and servos, and how thrust grows with pressure."""
+    found: list[_Entry] = []
+    for kind in KINDS:
+        if kind.count(scene):
+            name = f"{kind.one}_lag"
+            find = lambda setup, name=name: getattr(setup, name)
+            make = _maker(find, lambda: jnp.array(_LAG))
+            found.append((None, Parameter(name, "s", find, make=make)))
+    if scene.chambers is not None and scene.chambers.count:
+        gain = lambda setup: setup.pressure_gain
+        make = _maker(gain, lambda: jnp.zeros(2))
+        for k, unit in enumerate(("1/bar", "1/bar^2")):
+            own = {str(k + 1): k}
+            found += _group("pressure_gain", unit, gain, _GAINS[k], own, make)
+    return found
 
 
 def _of_the_bench(scene: sr.Scene) -> list[_Entry]:

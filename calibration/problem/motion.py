@@ -39,7 +39,7 @@ class Motion(eqx.Module):
 def simulate_motion(setup: Setup, batch: Batch, scheme, method) -> Motion:
     """The motion of one recording of the batch (its arrays without the leading axis)."""
     scene = setup.simulated_scene()
-    inputs = setup.arriving(batch.inputs)
+    inputs = setup.arriving_in_time(batch.inputs, batch.dt)
     initial, start_result = None, jnp.zeros((), jnp.int32)
     if batch.any_hanging:
         first = jax.tree.map(lambda x: x[0], inputs)

@@ -273,6 +273,7 @@ def _drifts(fit):
 
 def _beside_the_scene(fit):
     beside = ("tendon_efficiency", "sensor_offset", "release_duration", "camera_")
+    beside += ("pressure_lag", "tension_lag", "pull_lag", "pressure_gain")
     names = [k for k, e in fit.parameters.items() if e.name.startswith(beside) or e.recording]
     if names:
         yield (
