@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from calibration.data.loading import load_recording as load_recording
+    from calibration.data.loading import load_recordings as load_recordings
     from calibration.data.onset import detect_onset as detect_onset
     from calibration.data.recording import Recording as Recording
     from calibration.data.recording import RecordingError as RecordingError
@@ -22,6 +23,7 @@ _HOME = {
     "Recording": "calibration.data.recording",
     "RecordingError": "calibration.data.recording",
     "load_recording": "calibration.data.loading",
+    "load_recordings": "calibration.data.loading",
     "write_log": "softrod_jax.scene.logs",
     "detect_onset": "calibration.data.onset",
     "calibrate": "calibration.fit",

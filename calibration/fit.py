@@ -2,19 +2,22 @@
 
 import time
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from os import PathLike
 
 import jax
 import jax.numpy as jnp
 
 import softrod_jax as sr
+from calibration.data.frames import in_one_frame
 from calibration.data.recording import Recording
 from calibration.inference.explain import explain_residuals
 from calibration.inference.first_look import check_axes
 from calibration.inference.profile import profile_likelihoods
 from calibration.inference.refinement import refine_until_resolved
 from calibration.parameters.materials import check_material
-from calibration.parameters.unknowns import choose_unknowns
+from calibration.parameters.priors import checked_pairs
+from calibration.parameters.unknowns import choose_unknowns, with_frame
 from calibration.problem.dataset import datasets
 from calibration.problem.motion import SCHEME
 from calibration.problem.resolution import Resolution, choose_resolution
@@ -35,6 +38,8 @@ def calibrate(
     fit: Sequence[str] | None = None,
     per_recording: Sequence[str] = (),
     bounds: Mapping[str, tuple[float, float]] | None = None,
+    priors: Mapping[str, tuple[float, float]] | None = None,
+    one_frame: bool = False,
     held_out: Sequence[Recording] = (),
     time_offset: bool = True,
     optimiser: str | None = None,
@@ -64,6 +69,12 @@ def calibrate(
       from their values in the scene; everything else stays as it is.
     - `per_recording`: those of them of which each recording has its own value.
     - `bounds`: (low, high) by name, in the parameter's unit.
+    - `priors`: what is known beforehand, (mean, standard deviation) by name, in the parameter's
+      unit. A prior counts as one independent measurement; one that the recordings contradict is
+      told.
+    - `one_frame`: recordings that do not know where the clamp is were made with one set-up: camera
+      and clamp stayed where they were. Then one frame is fitted to all, by the parameters
+      camera_shift and camera_rotation, and not another to each.
     - `held_out`: recordings to predict with what was fitted; of them only the clock is, and where a
       recording does not know where the clamp is, its frame, once more for comparison. They have
       the mean of what each fitted recording has for itself.
@@ -115,6 +126,9 @@ def calibrate(
     if resume:
         read_checkpoint(checkpoint)  # before anything is simulated
     scene = jax.tree.map(jnp.asarray, scene)
+    if one_frame:
+        recordings, held_out = in_one_frame(recordings, held_out)
+        fit = with_frame(scene, fit)
     data, unseen = datasets(scene, recordings, held_out, window, drift)
     resolution = Resolution(data, dt, method, tolerance)
     setup, parameters = choose_unknowns(
@@ -122,7 +136,9 @@ def calibrate(
     )
     settings = options.settings(len(parameters.names))
     profiled = parameters.indices(profiles)
+    known = {name for u in parameters.items for name in (u.label, u.parameter.name)}
     problem = resolution.first_problem(setup, parameters, time_offset, scheme)
+    problem = replace(problem, priors=checked_pairs("priors", priors, known))
     with Bar() if progress else Silent() as meter:
         meter.stage("steps and grid", None)
         problem = choose_resolution(problem, resolution)

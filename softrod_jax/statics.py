@@ -34,7 +34,7 @@ from softrod_jax.rod.given_lengths import path_shortening, tensions_of
 from softrod_jax.rod.markers import seen
 from softrod_jax.rod.ode import contact_forces, slid_after
 from softrod_jax.rod.reduction import clamp_pose, make_rod, where_active
-from softrod_jax.rod.shape import Pose, pose_between
+from softrod_jax.rod.shape import Pose, pose_between, strain_between
 from softrod_jax.rod.state import layout_of
 from softrod_jax.rod.validity import usable
 from softrod_jax.scene.checks import checked_scene
@@ -99,6 +99,11 @@ class StaticSolution(eqx.Module):
         """The pose of the section at arc length `s` [m], a number that can be traced."""
         inside = self.method.inside(self.point_strains)
         return pose_between(inside, self.arc_lengths, self.positions, self.quaternions, s)
+
+    def strain_at(self, s) -> Float[Array, "6"]:
+        """The strains (v [-], u [1/m]) at arc length `s` [m], body frame; where they jump, those
+        beyond."""
+        return strain_between(self.method.inside(self.point_strains), self.arc_lengths, s)
 
 
 def solve_static(

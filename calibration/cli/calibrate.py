@@ -20,6 +20,7 @@ from calibration.cli.common import (
     number,
     positive,
     prepare_jax,
+    prior_in,
 )
 from calibration.cli.exclusive import alone_in
 from calibration.cli.waiting import waiting
@@ -57,7 +58,9 @@ def add_arguments(parser) -> None:
 def _add_what(parser) -> None:
     """What is fitted to what, and where the results go."""
     parser.add_argument("scene", nargs="?", metavar="SCENE.toml", help="the scene file")
-    parser.add_argument("logs", nargs="*", metavar="LOG", help="recordings")
+    parser.add_argument(
+        "logs", nargs="*", metavar="LOG", help="recordings, or patterns such as 'run_*.csv'"
+    )
     parser.add_argument(
         "--fit",
         metavar="NAME,..",
@@ -93,7 +96,7 @@ def _add_what(parser) -> None:
         "--prior",
         metavar="NAME=MEAN:SPREAD",
         nargs="+",
-        help="with --postures: what is known beforehand, such as density=1070:20",
+        help="what is known beforehand, mean and standard deviation, such as density=1070:20",
     )
     parser.add_argument(
         "--folds",
@@ -168,7 +171,13 @@ def _add_data(data) -> None:
         metavar="NAME=V1,V2,..",
         nargs="+",
         help="in what the recordings differ from the scene, such as payload_mass=0,0.052: a value "
-        "for each LOG, then for each of --held-out",
+        "for each recording, then for each of --held-out, or one for all",
+    )
+    data.add_argument(
+        "--one-frame",
+        action="store_true",
+        help="recordings that do not know where the clamp is were made with one set-up: fit one "
+        "frame to all, not another to each",
     )
     data.add_argument(
         "--look", action="store_true", help="plot the recordings to DIR/data.png, and stop there"
@@ -219,9 +228,8 @@ def run(args) -> int:
         from calibration.cli.postures import run_postures
 
         return run_postures(args)
-    for name in ("prior", "folds"):
-        if getattr(args, name) is not None:
-            raise UsageError(f"--{name}: for --postures only; leave it out")
+    if args.folds is not None:
+        raise UsageError("--folds: for --postures only; leave it out")
     scene_path, log_paths = (args.scene, args.logs) if args.scene else _example()
     if not log_paths:
         raise UsageError("no recordings: give at least one LOG after the scene")
@@ -229,7 +237,7 @@ def run(args) -> int:
     if out.exists() and not out.is_dir():
         raise UsageError(f"--out {out}: is a file; give a directory")
     # What can be told to be wrong is told before anything is computed.
-    for text, reads in ((args.bounds, bound_in), (args.drift, _drift)):
+    for text, reads in ((args.bounds, bound_in), (args.prior, prior_in), (args.drift, _drift)):
         for part in text or ():
             reads(part)
     prepare_jax()
@@ -241,13 +249,15 @@ def run(args) -> int:
     except ImportError as e:
         raise UsageError(f"{e}: pip install 'softrod_jax[calibration]'") from None
 
+    from calibration.data.trials import files_of
+
     scene = sr.load_scene(scene_path)
     held_out_paths = args.held_out or []
-    read = _recordings(args, [*log_paths, *held_out_paths], scene)
-    read = _conditioned(read, args.condition or ())
-    recordings, held_out = (
-        _cut(args, part) for part in (read[: len(log_paths)], read[len(log_paths) :])
-    )
+    log_paths, held_out_paths = files_of(log_paths), files_of(held_out_paths)
+    each = _recordings(args, [*log_paths, *held_out_paths], scene)
+    read = _conditioned([r for own in each for r in own], args.condition or ())
+    fitted = sum(map(len, each[: len(log_paths)]))
+    recordings, held_out = (_cut(args, part) for part in (read[:fitted], read[fitted:]))
     for recording in [*recordings, *held_out]:
         for assumption in recording.notes:
             note(f"{recording.name}: {assumption}")
@@ -288,6 +298,8 @@ def _fitted(args, scene, recordings, held_out, out: Path):
         fit=names_in(args.fit) or None,
         per_recording=names_in(args.per_recording),
         bounds=dict(bound_in(text) for text in args.bounds or ()),
+        priors=dict(prior_in(text) for text in args.prior or ()),
+        one_frame=args.one_frame,
         held_out=held_out,
         time_offset=not args.no_time_offset,
         optimiser=args.optimiser,
@@ -316,7 +328,8 @@ def _drift(text: str) -> tuple[str, float]:
 
 
 def _recordings(args, paths, scene):
-    from calibration import load_recording
+    """Those in each of the files: more than one where a mapping divides it into trials."""
+    from calibration import load_recordings
     from calibration.data.loading import mapping_beside
 
     options = {
@@ -334,12 +347,12 @@ def _recordings(args, paths, scene):
     if options and not any(is_c3d):
         names = ", ".join(f"--{name.replace('_', '-')}" for name in options)
         raise UsageError(f"{names}: for .c3d files only, and there is none; leave it out")
-    recordings = []
+    found = []
     for path, c3d in zip(paths, is_c3d, strict=True):
         mapping = args.mapping or mapping_beside(path)
         own = options if c3d and mapping is None else {}
-        recordings.append(load_recording(path, scene, mapping=mapping, **own))
-    return recordings
+        found.append(load_recordings(path, scene, mapping=mapping, **own))
+    return found
 
 
 def _conditioned(recordings, conditions):
@@ -350,10 +363,12 @@ def _conditioned(recordings, conditions):
             numbers = [float(x) for x in values.split(",")]
         except ValueError:
             numbers = []
+        if len(numbers) == 1:
+            numbers *= len(recordings)
         if len(numbers) != len(recordings):
             raise UsageError(
                 f"--condition {text}: expected NAME= and {len(recordings)} "
-                f"number{'s'[: len(recordings) != 1]}, one for each recording"
+                f"number{'s'[: len(recordings) != 1]}, one for each recording, or one for all"
             )
         recordings = [
             replace(r, conditions={**r.conditions, name.strip(): value})

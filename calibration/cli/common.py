@@ -241,3 +241,8 @@ def pair_in(option: str, text: str, form: str) -> tuple[str, tuple[float, float]
 def bound_in(text: str) -> tuple[str, tuple[float, float]]:
     """NAME=LOW:HIGH."""
     return pair_in("bounds", text, "NAME=LOW:HIGH, such as young_modulus=1e5:1e6")
+
+
+def prior_in(text: str) -> tuple[str, tuple[float, float]]:
+    """NAME=MEAN:SPREAD."""
+    return pair_in("prior", text, "NAME=MEAN:SPREAD, such as density=1070:20")

@@ -10,7 +10,18 @@ import os
 import re
 import sys
 
-from calibration.cli import calibrate, doctor, film, importing, init, plot, simulate, solve, view
+from calibration.cli import (
+    calibrate,
+    design,
+    doctor,
+    film,
+    importing,
+    init,
+    plot,
+    simulate,
+    solve,
+    view,
+)
 from calibration.cli.common import UsageError
 from calibration.cli.order import positions_first
 
@@ -23,6 +34,7 @@ COMMANDS = {
     "film": film,
     "view": view,
     "calibrate": calibrate,
+    "design": design,
     "doctor": doctor,
 }
 

@@ -4,12 +4,20 @@ import contextlib
 import os
 from pathlib import Path
 
-from calibration.cli.common import UsageError, bound_in, names_in, pair_in, prepare_jax
+from calibration.cli.common import UsageError, bound_in, names_in, prepare_jax, prior_in
 from calibration.cli.exclusive import alone_in
 
-_PRIOR = "NAME=MEAN:SPREAD, such as density=1070:20"
 _FOR_MOTIONS = ("per_recording", "held_out", "resume", "optimiser", "profile", "explain", "dt")
-_FOR_MOTIONS += ("mapping", "condition", "look", "window", "split", "drift", "tolerance")
+_FOR_MOTIONS += (
+    "mapping",
+    "condition",
+    "one_frame",
+    "look",
+    "window",
+    "split",
+    "drift",
+    "tolerance",
+)
 
 
 def run_postures(args) -> int:
@@ -21,7 +29,7 @@ def run_postures(args) -> int:
     if not args.fit:
         raise UsageError("--fit: name what to fit, such as young_modulus,tendons[*].friction")
     bounds = dict(bound_in(text) for text in args.bounds or ())
-    priors = dict(pair_in("prior", text, _PRIOR) for text in args.prior or ())
+    priors = dict(prior_in(text) for text in args.prior or ())
     out = Path(args.out)
     if out.exists() and not out.is_dir():
         raise UsageError(f"--out {out}: is a file; give a directory")
@@ -37,11 +45,12 @@ def run_postures(args) -> int:
         from calibration.postures.report import posture_summary, write_posture_report
     except ImportError as e:
         raise UsageError(f"{e}: pip install 'softrod_jax[calibration]'") from None
+    from calibration.data.trials import files_of
     from calibration.postures.data import joined, load_postures
     from calibration.postures.fitting import calibrate_postures
 
     scene = sr.load_scene(scene_path)
-    postures = joined([load_postures(log, scene) for log in logs])
+    postures = joined([load_postures(log, scene) for log in files_of(logs)])
     method = sr.Collocation() if args.intervals is None else sr.Collocation(args.intervals)
     out.mkdir(parents=True, exist_ok=True)
     with alone_in(out):

@@ -52,7 +52,7 @@ def read_c3d(
     points = length_unit(path, file.unit) * file.positions @ rotation.T
     for markers in (tips, bases):
         check_one_body(path, points[:, markers], [file.labels[j] for j in markers], scene)
-    displacement, placed = _from_rest(path, points, tips, bases, file.labels)
+    displacement, rest, placed = _from_rest(path, points, tips, bases, file.labels)
     recording = Recording(
         times=np.arange(len(points)) / file.rate,
         tensions=None,
@@ -61,6 +61,7 @@ def read_c3d(
         name=Path(path).stem,
         source=str(path),
         origin_known=False,
+        placed=straight_tip(scene) - rest,
         notes=(*notes, *placed, *file.notes),
     )
     source = Source(
@@ -94,7 +95,8 @@ def _chosen(
 
 
 def _from_rest(path, points: np.ndarray, tips: list[int], bases: list[int], labels):
-    """The tip's displacement from its rest, seen from the clamp, (frames, 3) [m], and notes."""
+    """The tip's displacement from its rest, seen from the clamp, (frames, 3) [m], where that rest
+    is, (3,), and notes."""
     tip = np.mean(points[:, tips], axis=1)
     clamp = np.mean(points[:, bases], axis=1) if bases else np.zeros_like(tip)
     seen = np.all(np.isfinite(tip + clamp), axis=1)
@@ -105,7 +107,8 @@ def _from_rest(path, points: np.ndarray, tips: list[int], bases: list[int], labe
         )
     # The tip alone tells the rest: base markers move least and their noise would hide it.
     rest = rest_samples(tip[seen], path)
-    clamp_moved = clamp - np.median(clamp[seen][:rest], axis=0)
+    clamp_at, tip_at = (np.median(x[seen][:rest], axis=0) for x in (clamp, tip))
+    clamp_moved = clamp - clamp_at
     notes = [
         f"tip = mean of the markers {_named(labels, tips)}",
         f"origin: the median of the tip over {rest} samples at rest is the scene's straight tip",
@@ -116,7 +119,7 @@ def _from_rest(path, points: np.ndarray, tips: list[int], bases: list[int], labe
             f"movement of the clamp, up to {largest:.2g} mm, subtracted (mean of the markers "
             f"{_named(labels, bases)})"
         )
-    return tip - np.median(tip[seen][:rest], axis=0) - clamp_moved, notes
+    return tip - tip_at - clamp_moved, tip_at - clamp_at, notes
 
 
 def _named(labels, markers: list[int]) -> str:

@@ -1,9 +1,12 @@
 """From a sensor's frame to the scene's: axes, a fit to base markers, the rest as origin."""
 
+from collections.abc import Sequence
+from dataclasses import replace
+
 import numpy as np
 
 from calibration.data.onset import last_rest_sample
-from calibration.data.recording import RecordingError
+from calibration.data.recording import Recording, RecordingError
 
 # Fewer samples at rest than this do not tell where the rest is.
 _LEAST_REST = 5
@@ -68,8 +71,36 @@ def from_rest(tip, scene, path):
     """The tip with its rest at the beginning at the scene's straight tip, and a note."""
     known = np.all(np.isfinite(tip), axis=1)
     rest = rest_samples(tip[known], path)
-    moved = tip - np.median(tip[known][:rest], axis=0) + straight_tip(scene)
-    return moved, f"origin: the median of the tip over {rest} samples at rest is the straight tip"
+    placed = straight_tip(scene) - np.median(tip[known][:rest], axis=0)
+    note = f"origin: the median of the tip over {rest} samples at rest is the straight tip"
+    return tip + placed, placed, note
+
+
+def in_one_frame(
+    recordings: Recording | Sequence[Recording], others: Recording | Sequence[Recording]
+) -> tuple[list[Recording], list[Recording]]:
+    """Recordings of one set-up in one frame: put in place as the first of them is, of which a fit
+    finds by how much that is wrong. `others`: further ones that were kept aside.
+
+    Raises `RecordingError` for one that knows where the clamp is.
+    """
+    parts = [[x] if isinstance(x, Recording) else [*x] for x in (recordings, others)]
+    for r in (*parts[0], *parts[1]):
+        if r.origin_known or r.placed is None:
+            raise RecordingError(
+                f"{r.source or r.name}: knows where the clamp is, so that there is no frame to "
+                "share: leave one_frame out; camera_shift and camera_rotation can be fitted"
+            )
+    first = parts[0][0]
+    note = f"in the frame of {first.name}, which was put in place by its rest"
+
+    def moved(r: Recording) -> Recording:
+        tip = r.tip_positions + first.placed - r.placed
+        known = {"origin_known": True, "placed": first.placed}
+        return replace(r, tip_positions=tip, notes=(*r.notes, note), **known)
+
+    together, aside = ([moved(r) for r in own] for own in parts)
+    return together, aside
 
 
 def rest_samples(tip: np.ndarray, path) -> int:

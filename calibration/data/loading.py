@@ -1,6 +1,7 @@
 """Reading a recording, whatever kind of file it is in."""
 
 import os
+from collections.abc import Sequence
 from os import PathLike
 from pathlib import Path
 
@@ -10,6 +11,7 @@ from calibration.data.c3d import read_c3d
 from calibration.data.log import read_log
 from calibration.data.mapping import read_mapped
 from calibration.data.recording import Recording, RecordingError
+from calibration.data.trials import files_of
 
 
 def load_recording(
@@ -33,9 +35,36 @@ def load_recording(
 
     Raises `RecordingError` (a `ValueError`) naming file, row, column, value and remedy.
     """
+    found = load_recordings(path, scene, mapping=mapping, need_tip=need_tip, **c3d_options)
+    if len(found) > 1:
+        raise RecordingError(
+            f"{path}: holds {len(found)} trials, {', '.join(r.name for r in found[:20])}: read "
+            "them with load_recordings, or choose one with [trials] only"
+        )
+    return found[0]
+
+
+def load_recordings(
+    paths: str | PathLike | Sequence[str | PathLike],
+    scene=None,
+    *,
+    mapping: str | PathLike | None = None,
+    need_tip: bool = True,
+    **c3d_options,
+) -> list[Recording]:
+    """All recordings in the files `paths`, among which may be patterns such as "run_*.csv".
+
+    A mapping may divide a file into trials, see `calibration.data.mapping`; each of them is a
+    recording. Everything else is as for `load_recording`.
+    """
+    given = [paths] if isinstance(paths, str | PathLike) else paths
     # A number near the largest becomes infinite on the way, and is then out of reach.
     with np.errstate(over="ignore", invalid="ignore"):
-        return _load(path, scene, mapping, need_tip, c3d_options)
+        return [
+            recording
+            for path in files_of(given)
+            for recording in _load(path, scene, mapping, need_tip, c3d_options)
+        ]
 
 
 def mapping_beside(path: str | PathLike) -> Path | None:
@@ -49,7 +78,7 @@ def mapping_name(path: str | PathLike) -> Path | None:
     return Path(path).with_suffix(".map.toml") if Path(path).name else None
 
 
-def _load(path, scene, mapping, need_tip, c3d_options) -> Recording:
+def _load(path, scene, mapping, need_tip, c3d_options) -> list[Recording]:
     suffix = Path(path).suffix.lower()
     if mapping is None and not c3d_options:
         mapping = mapping_beside(path)
@@ -61,9 +90,9 @@ def _load(path, scene, mapping, need_tip, c3d_options) -> Recording:
     if mapping is not None:
         return read_mapped(path, mapping, scene, need_tip)
     if suffix == ".csv":
-        return read_log(path, scene, need_tip=need_tip)
+        return [read_log(path, scene, need_tip=need_tip)]
     if suffix == ".c3d":
-        return read_c3d(path, scene, **c3d_options)
+        return [read_c3d(path, scene, **c3d_options)]
     raise RecordingError(
         f"{path}: unknown kind of recording {suffix!r}: expected .csv or .c3d; .mat, .h5, "
         f".parquet and other tables need a mapping that says which columns are what: `softrod "

@@ -8,6 +8,9 @@
     [tip]
     columns = ["X", "Y", "Z"]           # or markers = [["a.x", "a.y", "a.z"], ..]: their mean;
                                         # "" for a coordinate that was not measured
+    positions = [[0.01, 0, 0], ..]      # m, of three markers or more: where each is, seen from the
+                                        # middle of the tip, along the axes of its section; the tip
+                                        # is then fitted to them, and not their mean
     unit = "mm"
     axes = "-y,x,z"                     # which axes of the file are the scene's x, y, z
     missing = -9999.0                   # what stands for a sample that was not seen; or [0, -9999]
@@ -22,6 +25,8 @@
     [[pressures]]
     column = "P"
     unit = "kPa"
+                                        # of what was commanded and not recorded: column is absent,
+    steps = [[1.2, 20.0], [4.2, 0.0]]   # and from each time [s] on the value; before them it is 0
     [[pulls]]                           # one for each tendon that is driven by its length
     column = "Motor 1"
     unit = "mm"                         # of an angle in rad: scale = the pulley's radius in m
@@ -30,6 +35,10 @@
     position = [0.02, 0.0, 0.0]         # m, where the marker is in the scene's frame
     [conditions]                        # in what this experiment differs from the scene
     payload_mass = 0.052
+    [trials]                            # of a file that holds several, each a recording
+    column = "run"                      # rows with the same number or text belong together
+    only = [1, 3]                       # which of them; absent: all
+                                        # or windows = [[0.0, 3.5], [10.0, 14.0]]: start and end [s]
     [csv]                               # of text files
     delimiter = ";"                     # or "tab", "space"; found if absent, as the next three
     skip_rows = 3                       # lines before the header
@@ -61,9 +70,11 @@ from calibration.data.mapped_columns import TimeColumn, check_interval, factor, 
 from calibration.data.mapping_file import Spec, read_toml
 from calibration.data.plausible import Source, check_pulls, check_reach
 from calibration.data.recording import Recording, RecordingError
+from calibration.data.rigid import tip_of_body
 from calibration.data.table import Table
 from calibration.data.tables import read_table
 from calibration.data.text_tables import TextOptions
+from calibration.data.trials import cut, trials_of
 from calibration.data.unseen import at_zero, base_is_zero
 from softrod_jax.scene.inputs import KINDS
 
@@ -72,8 +83,9 @@ _FILL = "fill it in or delete the row"
 
 def read_mapped(
     path: str | PathLike, mapping: str | PathLike, scene=None, need_tip: bool = True
-) -> Recording:
-    """The recording in `path`, as the mapping file `mapping` describes it; for `scene`.
+) -> list[Recording]:
+    """The recordings in `path`, as the mapping file `mapping` describes it; for `scene`. There is
+    one unless [trials] divides the file.
 
     Without a scene nothing is compared with the rod, and `[tip] rest` has no meaning. With
     `need_tip=False` the mapping may have no `[tip]`: inputs alone.
@@ -83,6 +95,16 @@ def read_mapped(
     """
     spec = read_toml(mapping)
     table = read_table(path, _text_options(spec.table("csv", required=False)))
+    trials = trials_of(table, spec.table("trials", required=False))
+    found = [_read(path, mapping, part, label, scene, need_tip) for label, part in trials.parts]
+    return [part for recording in found for part in cut(recording, trials.windows)]
+
+
+def _read(path, mapping, table: Table, label: str, scene, need_tip: bool) -> Recording:
+    """The recording in the table, which is all of the file or its trial `label`."""
+    spec = read_toml(mapping)
+    # Read already: how the file is written, and what of it this is.
+    spec.asked |= {"csv", "trials"}
     clock = TimeColumn(table, spec.table("time", required=table.interval is None))
     part = spec.table("tip", required=need_tip)
     seen = _tip(table, spec, part, clock, scene) if part.content else None
@@ -94,7 +116,7 @@ def read_mapped(
     spec.done()
     if scene is not None:
         _check_counts(mapping, inputs, scene)
-    tip, clock_of_tip, notes, known, source = seen or _without_tip(mapping, inputs)
+    tip, clock_of_tip, notes, placed, source = seen or _without_tip(mapping, inputs)
     clocks, dated = one_zero(path, [clock_of_tip, *(x[1] for p in inputs.values() for x in p)])
     clock_of_tip, others = clocks[0], iter(clocks[1:])
     inputs = {
@@ -110,9 +132,10 @@ def read_mapped(
         times=times,
         **columns,
         tip_positions=merged,
-        name=Path(path).stem,
+        name=f"{Path(path).stem}-{label}" if label else Path(path).stem,
         source=str(path),
-        origin_known=known,
+        origin_known=placed is None,
+        placed=placed,
         notes=(*table.notes, *dated, *notes, *clipped, *said),
         conditions=conditions,
         gaps=gaps,
@@ -157,7 +180,7 @@ def _without_tip(mapping, inputs):
     if times is None:
         raise RecordingError(f"{mapping}: neither [tip] nor inputs: nothing would be read")
     nothing = Source([""] * len(times), "no columns", "[tip] unit", None)
-    return np.full((len(times), 3), np.nan), times, (), True, nothing
+    return np.full((len(times), 3), np.nan), times, (), None, nothing
 
 
 def _tip(table: Table, spec: Spec, part: Spec, clock: TimeColumn, scene):
@@ -170,6 +193,7 @@ def _tip(table: Table, spec: Spec, part: Spec, clock: TimeColumn, scene):
     missing = part.scalars("missing")
     turn = axes_matrix(part.text("axes", "x,y,z"), part.where)
     origin, rest = part.vector("origin", required=False), part.flag("rest")
+    positions = _positions(part, markers)
     if origin is not None and rest:
         raise RecordingError(f"{part.where}origin and {part.where}rest: one of them is too much")
     if rest and scene is None:
@@ -198,21 +222,25 @@ def _tip(table: Table, spec: Spec, part: Spec, clock: TimeColumn, scene):
     if scene is not None:
         check_one_body(table.path, np.stack(placed, axis=1), [names[0] for names in found], scene)
     seen, meant = _base_markers(table, spec, place, count)
-    notes = []
+    notes, placed_by = [], None
     always = origin is None and not rest and not seen and scene is not None and base_is_zero(scene)
     for several in (placed, seen):
         for k, p in enumerate(several):
             several[k], note = at_zero(p, always=always)
             notes += note
     there = ~np.isnan(at)
-    tip, seen = np.mean(placed, axis=0)[there], [s[there] for s in seen]
+    tip = np.mean(placed, axis=0)
+    if positions is not None:
+        tip, note = tip_of_body(np.stack(placed, axis=1), positions, part.where)
+        notes.append(note)
+    tip, seen = tip[there], [s[there] for s in seen]
     if seen:
         tip, note = from_base_markers(tip, seen, meant, spec.where)
         notes += note
     elif origin is not None:
         tip = tip - turn @ (unit * origin)
     if rest:
-        tip, note = from_rest(tip, scene, table.path)
+        tip, placed_by, note = from_rest(tip, scene, table.path)
         notes.append(note)
     now = next(name for name, size in units.UNITS["length"].items() if np.isclose(size, unit))
     source = Source(
@@ -222,7 +250,20 @@ def _tip(table: Table, spec: Spec, part: Spec, clock: TimeColumn, scene):
         origin=None if rest or seen else "[tip] rest = true, or the clamp as [tip] origin",
         now=now,
     )
-    return tip, at[there], notes, not rest, source
+    return tip, at[there], notes, placed_by, source
+
+
+def _positions(part: Spec, markers) -> np.ndarray | None:
+    """Where the markers are on the tip, (markers, 3) [m]; None if that is not said."""
+    what = "a list of 3 finite numbers for each of the markers"
+    given = part.get("positions", list, what, None, False)
+    if given is None:
+        return None
+    real = lambda x: isinstance(x, int | float) and not isinstance(x, bool) and abs(x) < np.inf
+    whole = all(isinstance(p, list) and len(p) == 3 and all(map(real, p)) for p in given)
+    if not whole or markers is None or len(given) != len(markers):
+        raise part.wrong("positions", given, what)
+    return np.array(given, dtype=float)
 
 
 def _base_markers(table: Table, spec: Spec, place, count: int):
@@ -268,12 +309,19 @@ def _input(table: Table, part: Spec, kind: str, clock: TimeColumn):
     """Name, times and values [SI] of one actuator, without missing samples; labels, time's key."""
     own = part.table("time", required=False)
     clock = TimeColumn(table, own) if own.content else clock
-    name = table.find(part.text("column"), key=f"{part.where}column")
-    values = table.numbers(name, f"inputs are needed in every row: {_FILL}")
-    times = clock.of(len(values), name)
+    steps = _steps(part)
+    if steps is None:
+        name = table.find(part.text("column"), key=f"{part.where}column")
+        values = table.numbers(name, f"inputs are needed in every row: {_FILL}")
+        times = clock.of(len(values), name)
+    else:
+        name = f"{part.where}steps"
+        times = clock.of(max(len(x) for x in table.columns.values()), name)
+        values = _stepped(part, steps, times)
     given = part.number("scale", None)
     scale, offset = 1.0 if given is None else given, part.number("offset", 0.0)
-    values = factor(table, part, kind, [name], given is not None) * scale * (values + offset)
+    own = [] if steps is not None else [name]
+    values = factor(table, part, kind, own, given is not None) * scale * (values + offset)
     part.done()
     there = ~np.isnan(times)
     for k in np.flatnonzero(there & ~np.isfinite(values))[:1]:
@@ -287,6 +335,29 @@ def _input(table: Table, part: Spec, kind: str, clock: TimeColumn):
         )
     labels = [table.row(int(k), len(values)) for k in np.flatnonzero(there)]
     return name, times[there], values[there], labels, f"{part.where}time."
+
+
+def _steps(part: Spec) -> np.ndarray | None:
+    """What was commanded, pairs (time [s], value); None where a column has it."""
+    what = "a list of pairs [time in s, value], times increasing"
+    given = part.get("steps", list, what, None, False)
+    if given is None:
+        return None
+    if "column" in part.content:
+        raise RecordingError(f"{part.where}column and {part.where}steps: one of them is too much")
+    real = lambda x: isinstance(x, int | float) and not isinstance(x, bool) and abs(x) < np.inf
+    good = given and all(isinstance(p, list) and len(p) == 2 and all(map(real, p)) for p in given)
+    if not good or np.any(np.diff([p[0] for p in given]) <= 0):
+        raise part.wrong("steps", given, what)
+    return np.array(given, dtype=float)
+
+
+def _stepped(part: Spec, steps: np.ndarray, times: np.ndarray) -> np.ndarray:
+    """The command at each of the times."""
+    if times.dtype.kind == "M":
+        raise RecordingError(f"{part.where}steps: are in seconds, and the clock is one of dates")
+    k = np.searchsorted(steps[:, 0], times, side="right")
+    return np.concatenate([[0.0], steps[:, 1]])[k]
 
 
 def _check_counts(mapping, inputs, scene) -> None:

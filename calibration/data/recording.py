@@ -35,6 +35,8 @@ class Recording:
     - `gaps` [s]: pairs (start, end) in which the inputs are not known, though they were moving: a
       fit uses what comes before (`calibration.data.clocks`).
     - `pulls` [m], (T, tendons driven by length), or None if the recording has none.
+    - `placed` [m], (3,): what was added to the tip to put it in place, where its origin is not
+      known; None if nothing was.
     - `conditions`: values of parameters in which this experiment differs from the scene, by name
       (`calibration.parameters.catalogue`), such as {"payload_mass": 0.052}.
     """
@@ -51,6 +53,7 @@ class Recording:
     conditions: Mapping[str, float] = field(default_factory=dict)
     gaps: tuple[tuple[float, float], ...] = ()
     pulls: np.ndarray | None = None
+    placed: np.ndarray | None = None
 
     @property
     def driven_by(self) -> list[tuple[Kind, np.ndarray]]:

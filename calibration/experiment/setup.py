@@ -5,11 +5,12 @@ that ignores the bench pushes its errors into the material. What is `None` is no
 """
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 import softrod_jax as sr
-from softrod_jax.scene.inputs import Inputs
+from softrod_jax.scene.inputs import KINDS, Inputs
 
 
 class Setup(eqx.Module):
@@ -19,6 +20,11 @@ class Setup(eqx.Module):
     - `tendon_efficiency` [1], (tendons driven by tension,): tension that arrives / commanded.
     - `pull_gain` [1] and `pull_offset` [m], (tendons driven by length,): the pull that arrives is
       gain * commanded + offset, as of a servo's drum and its zero.
+    - `pressure_lag`, `tension_lag`, `pull_lag` [s]: of valves or servos between command and robot,
+      of first order: what arrives follows the command with this time constant; in motions only.
+    - `pressure_gain` [1/bar, 1/bar^2], (2,): how thrust grows faster than pressure, as of a chamber
+      that widens: what acts at the pressure p is p (1 + g1 p + g2 p^2), with p in bar inside the
+      parentheses.
     - `release_duration` [s]: how long a hand takes to let go, see `calibration.experiment.release`;
       of recordings without inputs only.
     - `sensor_offset` [m], (3,): the marker seen from the tip, in the tip's own frame.
@@ -27,18 +33,27 @@ class Setup(eqx.Module):
     - `gravity_tilt` [rad], (3,): rotation vector that turns the scene's gravity.
     - `clamp_rotation` [rad], (3,), and `clamp_shift` [m], (3,): how the clamp's pose differs from
       the scene's, in the base frame.
+    - `camera_rotation` [rad], (3,), and `camera_shift` [m], (3,): how what is seen is turned about
+      the origin and moved, by cameras whose frame is not the scene's. Unlike a clamp that is turned
+      they see gravity turned, too.
     """
 
     scene: sr.Scene
     tendon_efficiency: Float[Array, "tendons"] | None = None
     pull_gain: Float[Array, "by_length"] | None = None
     pull_offset: Float[Array, "by_length"] | None = None
+    pressure_lag: Float[Array, ""] | None = None
+    tension_lag: Float[Array, ""] | None = None
+    pull_lag: Float[Array, ""] | None = None
+    pressure_gain: Float[Array, "2"] | None = None
     release_duration: Float[Array, ""] | None = None
     sensor_offset: Float[Array, "3"] | None = None
     payload_offset: Float[Array, "3"] | None = None
     gravity_tilt: Float[Array, "3"] | None = None
     clamp_rotation: Float[Array, "3"] | None = None
     clamp_shift: Float[Array, "3"] | None = None
+    camera_rotation: Float[Array, "3"] | None = None
+    camera_shift: Float[Array, "3"] | None = None
 
     def simulated_scene(self) -> sr.Scene:
         """The scene with gravity and clamp as they are in this experiment."""
@@ -68,6 +83,22 @@ class Setup(eqx.Module):
             )
         return scene
 
+    def seen_direction(self, a: Float[Array, "*#n 3"]) -> Float[Array, "*#n 3"]:
+        """A vector of the base frame as the cameras see it."""
+        rotation = self.camera_rotation
+        return a if rotation is None else rotated(_quaternion(rotation), a)
+
+    def seen_position(self, p: Float[Array, "*#n 3"]) -> Float[Array, "*#n 3"]:
+        """A place [m] as the cameras see it."""
+        p = self.seen_direction(p)
+        return p if self.camera_shift is None else p + self.camera_shift
+
+    def seen_attitude(self, h: Float[Array, "*#n 4"]) -> Float[Array, "*#n 4"]:
+        """A unit quaternion as the cameras see it."""
+        if self.camera_rotation is None:
+            return h
+        return _product(_quaternion(self.camera_rotation), h)
+
     def arriving(self, inputs: Inputs) -> Inputs:
         """The inputs that reach the robot when `inputs` are commanded."""
         if inputs.tensions is not None and self.tendon_efficiency is not None:
@@ -78,7 +109,38 @@ class Setup(eqx.Module):
             pulls = pulls if self.pull_gain is None else self.pull_gain * pulls
             pulls = pulls if self.pull_offset is None else pulls + self.pull_offset
             inputs = inputs._replace(pulls=pulls)
+        if inputs.pressures is not None and self.pressure_gain is not None:
+            p = jnp.asarray(inputs.pressures)
+            g1, g2 = self.pressure_gain
+            inputs = inputs._replace(pressures=p * (1 + g1 * (p / BAR) + g2 * (p / BAR) ** 2))
         return inputs
+
+    def arriving_in_time(self, inputs: Inputs, dt: Float[Array, ""]) -> Inputs:
+        """The inputs that reach the robot in each step, (steps + 1, actuators) each; row 0 is held
+        at the beginning, row k + 1 is commanded during step k of `dt` [s]."""
+        for kind in KINDS:
+            lag, values = getattr(self, f"{kind.one}_lag"), getattr(inputs, kind.name)
+            if lag is not None and values is not None:
+                inputs = inputs._replace(**{kind.name: lagged(values, lag, dt)})
+        return self.arriving(inputs)
+
+
+BAR = 1e5  # Pa
+
+
+def lagged(
+    commanded: Float[Array, "rows n"], lag: Float[Array, ""], dt: Float[Array, ""]
+) -> Float[Array, "rows n"]:
+    """What follows a command with a lag of first order [s]: its mean over each step of `dt` [s], in
+    which the command is held. It has settled at row 0."""
+    kept = jnp.exp(-dt / lag)
+    mean = (1 - kept) * lag / dt
+
+    def step(now, command):
+        return command + kept * (now - command), command + mean * (now - command)
+
+    _, means = jax.lax.scan(step, commanded[0], commanded[1:])
+    return jnp.concatenate([commanded[:1], means])
 
 
 def rotated(h: Float[Array, "*#n 4"], a: Float[Array, "*#n 3"]) -> Float[Array, "*#n 3"]:
@@ -94,6 +156,7 @@ def _quaternion(rotation: Float[Array, "3"]) -> Float[Array, "4"]:
     return jnp.concatenate([jnp.cos(angle / 2)[None], jnp.sin(angle / 2) / angle * rotation])
 
 
-def _product(a: Float[Array, "4"], b: Float[Array, "4"]) -> Float[Array, "4"]:
-    w = a[0] * b[0] - jnp.dot(a[1:], b[1:])
-    return jnp.concatenate([w[None], a[0] * b[1:] + b[0] * a[1:] + jnp.cross(a[1:], b[1:])])
+def _product(a: Float[Array, "*#n 4"], b: Float[Array, "*#n 4"]) -> Float[Array, "*#n 4"]:
+    (v, r), (w, s) = ((x[..., :1], x[..., 1:]) for x in (a, b))
+    first = v * w - jnp.sum(r * s, axis=-1, keepdims=True)
+    return jnp.concatenate([first, v * s + w * r + jnp.cross(r, s)], axis=-1)

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
+from calibration.inference.beliefs import weighed
 from calibration.inference.uncertainty import IDENTIFIED, Uncertainty, estimate_uncertainty
 from calibration.problem.motion import Motion
 from calibration.problem.problem import Point
@@ -64,6 +65,7 @@ def refine_until_resolved(
     Without `checks` only the intervals are computed.
     """
     for attempt in range(_REFITS + 1):
+        outcome = weighed(outcome, max_iterations, history)
         history.stage("intervals", None)
         uncertainty = estimate_uncertainty(outcome.best, history.add)
         if not checks:

@@ -70,12 +70,17 @@ def estimate_uncertainty(best: Point, report: Report) -> Uncertainty:
     width += [_PRIOR_DELAY] * (space.delays.stop - space.delays.start)
     width += [1.0] * (n - len(width))
     prior = noise.variance * np.diag(np.array(width) ** -2.0)
-    information = best.jacobian.T @ best.jacobian + prior
+    # What is believed of parameters counts as measurements that are independent of each other.
+    beliefs, by_x = best.beliefs
+    variance = best.problem.variance
+    known = variance * by_x.T @ by_x
+    information = best.jacobian.T @ best.jacobian + prior + known
     inverse = np.linalg.inv(information)
-    covariance = inverse @ (noise.meat + noise.variance * prior) @ inverse
+    meat = noise.meat + noise.variance * prior + variance * known
+    covariance = inverse @ meat @ inverse
     errors = np.sqrt(np.diag(covariance))
     # Cornish and Fisher (1938): Student's t from the normal distribution.
-    freedom = max(noise.effective_samples - n, 2.0)
+    freedom = max(noise.effective_samples + len(beliefs) - n, 2.0)
     quantile = _QUANTILE + (_QUANTILE**3 + _QUANTILE) / (4 * freedom)
     low, high = best.x - quantile * errors, best.x + quantile * errors
     # The noise as each parameter feels it.
@@ -122,6 +127,7 @@ def _bound(best: Point, i: int, side: float, valley, error, allowed, prior, repo
     fitted again by one Gauss-Newton step, which costs no simulation.
     """
     problem = best.problem
+    reached = np.sum(best.rows[0] ** 2)
     room = abs(problem.space.bounds[0 if side < 0 else 1][i] - best.x[i])
     alone = np.where(np.arange(best.x.size) == i, 1.0, 0.0)
     ways = [valley, alone] if np.max(np.abs(valley - alone)) > _FOLLOWS else [alone]
@@ -133,9 +139,9 @@ def _bound(best: Point, i: int, side: float, valley, error, allowed, prior, repo
             report(point)
             if point.ok:
                 others = np.delete(np.arange(best.x.size), i)
-                J, r = point.jacobian[:, others], point.residuals
+                r, J = point.rows[0], point.rows[1][:, others]
                 step = -np.linalg.solve(J.T @ J + prior[np.ix_(others, others)], J.T @ r)
-                least = min(least, max(np.sum((r + J @ step) ** 2) - best.misfit, 0.0))
+                least = min(least, max(np.sum((r + J @ step) ** 2) - reached, 0.0))
             if least <= allowed:
                 break
         return least

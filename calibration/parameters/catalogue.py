@@ -35,6 +35,8 @@ _ON_THE_BENCH = Shift(1e-3)  # m
 _IN_THE_SECTION = Shift(2e-4)  # m
 _RELEASE = 0.03  # s, where the search for a release's duration starts
 _ANGLE = Shift(float(np.pi / 180))  # rad
+_LAG = 0.03  # s, where the search for that of a valve or servo starts
+_GAINS = Shift(0.5), Shift(2.0)  # of thrust over pressure, by bar and by bar squared
 
 
 def _scene(name: str) -> Callable:
@@ -79,6 +81,7 @@ def catalogue(scene: sr.Scene) -> tuple[dict[str, Parameter], dict[str, tuple[st
         *_of_material(scene),
         *_of_tendons(scene),
         *_of_chambers(scene),
+        *_between_command_and_robot(scene),
         *_of_the_bench(scene),
     ]
     groups: dict[str, tuple[str, ...]] = {}
@@ -191,6 +194,24 @@ def _of_chambers(scene: sr.Scene) -> list[_Entry]:
     ]
 
 
+def _between_command_and_robot(scene: sr.Scene) -> list[_Entry]:
+    """The lags of valves and servos, and how thrust grows with pressure."""
+    found: list[_Entry] = []
+    for kind in KINDS:
+        if kind.count(scene):
+            name = f"{kind.one}_lag"
+            find = lambda setup, name=name: getattr(setup, name)
+            make = _maker(find, lambda: jnp.array(_LAG))
+            found.append((None, Parameter(name, "s", find, make=make)))
+    if scene.chambers is not None and scene.chambers.count:
+        gain = lambda setup: setup.pressure_gain
+        make = _maker(gain, lambda: jnp.zeros(2))
+        for k, unit in enumerate(("1/bar", "1/bar^2")):
+            own = {str(k + 1): k}
+            found += _group("pressure_gain", unit, gain, _GAINS[k], own, make)
+    return found
+
+
 def _of_the_bench(scene: sr.Scene) -> list[_Entry]:
     """The parameters of what surrounds the robot: the hand that lets go, sensor, clamp, gravity."""
     found: list[_Entry] = []
@@ -205,6 +226,8 @@ def _of_the_bench(scene: sr.Scene) -> list[_Entry]:
         ("gravity_tilt", "rad", _ANGLE, weighs),
         ("clamp_rotation", "rad", _ANGLE, True),
         ("clamp_shift", "m", _ON_THE_BENCH, True),
+        ("camera_rotation", "rad", _ANGLE, True),
+        ("camera_shift", "m", _ON_THE_BENCH, True),
     ):
         if there:
             find = lambda setup, name=name: getattr(setup, name)

@@ -150,6 +150,15 @@ def _unknown(
     return Unknown(label, parameter, recording, initial, low, high)
 
 
+def with_frame(scene: sr.Scene, fit: Sequence[str] | str | None) -> tuple[str, ...]:
+    """What is fitted, and where the cameras are, as far as it is not among that."""
+    names = choose(scene, fit)
+    return (*names, *(n for n in choose(scene, _FRAME) if n not in names))
+
+
+_FRAME = ("camera_shift", "camera_rotation")
+
+
 def check_conditions(scene: sr.Scene, recordings: Sequence[Recording]) -> None:
     """Raises `RecordingError` for a condition that `scene` cannot have."""
     for recording in recordings:

@@ -14,8 +14,15 @@ import softrod_jax as sr
 from calibration.experiment.setup import Setup
 from calibration.inference.uncertainty import IDENTIFIED, NOT_IDENTIFIABLE
 from calibration.parameters.catalogue import as_names, choose, parameters_of, prepared
+from calibration.parameters.priors import (
+    CONTRADICTED,
+    checked_pairs,
+    contradictions,
+    prior_rows,
+)
 from calibration.postures.data import Postures
 from calibration.postures.prediction import Evaluation, Model, coarse
+from calibration.postures.quantities import quantities_of
 from calibration.report.results import Estimate
 from calibration.search.minimum import CalibrationError
 
@@ -27,6 +34,18 @@ _CLUSTERS = 3
 
 
 @dataclass(frozen=True, eq=False)
+class Compared:
+    """A quantity, (rows, numbers), simulated and measured, NaN where missing; `rms` of their
+    difference, and `noise`, as stated; all in `unit`."""
+
+    simulated: Float[np.ndarray, "rows numbers"]
+    measured: Float[np.ndarray, "rows numbers"]
+    rms: float
+    noise: float
+    unit: str
+
+
+@dataclass(frozen=True, eq=False)
 class PostureFit:
     """What fitting postures hands back.
 
@@ -34,6 +53,7 @@ class PostureFit:
     - `parameters`: an `Estimate` of each, by name.
     - `rmse_m` [m]: root mean square distance of all markers; `rmse_by_marker`, by name.
     - `simulated`, `measured` [m]: (rows, markers, 3) in the order of `markers`; NaN where missing.
+    - `others`: what else was measured: `Compared` by key (`calibration.postures.quantities`).
     - `unsolved`: how many rows have no equilibrium.
     - `noise_scale`: how many times larger residuals are than the noise that was stated.
     - `conflicts`: priors that the data contradict, by name: how many standard deviations apart.
@@ -49,6 +69,7 @@ class PostureFit:
     markers: tuple[str, ...]
     simulated: Float[np.ndarray, "rows markers 3"]
     measured: Float[np.ndarray, "rows markers 3"]
+    others: dict[str, Compared]
     unsolved: int
     noise_scale: float
     conflicts: dict[str, float]
@@ -89,10 +110,12 @@ def calibrate_postures(
     scene's values.
     """
     begun = time.perf_counter()
+    if folds is not None and not postures.positions:
+        raise ValueError("folds: the places of markers are predicted, and there are none")
     model = prepared_model(jax.tree.map(jnp.asarray, scene), postures, fit, method)
     names = [parameter.name for parameter in model.parameters]
-    priors = _pairs("priors", priors, names)
-    search = _Search(model, priors, _pairs("bounds", bounds, names))
+    priors = checked_pairs("priors", priors, names)
+    search = _Search(model, priors, checked_pairs("bounds", bounds, names))
     theta, best, count, converged = search.run(np.zeros(len(names)), max_evaluations)
     held_out = None
     if folds is not None:
@@ -109,7 +132,9 @@ def prepared_model(scene: sr.Scene, postures: Postures, fit, method: sr.Collocat
 def prior_information(model: Model, priors) -> Float[np.ndarray, "parameters parameters"]:
     """What priors say, at theta = 0."""
     names = [parameter.name for parameter in model.parameters]
-    _, J = _Search(model, _pairs("priors", priors, names), {}).prior_rows(np.zeros(len(names)))
+    _, J = _Search(model, checked_pairs("priors", priors, names), {}).prior_rows(
+        np.zeros(len(names))
+    )
     return J.T @ J
 
 
@@ -120,21 +145,6 @@ def _prepared(scene: sr.Scene, fit) -> tuple[Setup, tuple[str, ...]]:
         raise ValueError("fit: no parameters; name at least one")
     names = choose(scene, asked)
     return prepared(scene, names), names
-
-
-def _pairs(what: str, given, names) -> dict[str, tuple[float, float]]:
-    """Checked: two finite numbers for each name, the second above zero or above the first."""
-    out = {}
-    for name, pair in (given or {}).items():
-        if name not in names:
-            raise ValueError(f"{what}: {name!r} is not fitted; add it to fit, or leave it out")
-        first, second = (float(x) for x in pair)
-        least = 0.0 if what == "priors" else first
-        if not (np.isfinite(first) and least < second < np.inf):
-            meant = "(mean, standard deviation)" if what == "priors" else "(low, high)"
-            raise ValueError(f"{what}: {name} = {pair!r}; expected {meant}")
-        out[name] = (first, second)
-    return out
 
 
 @dataclass(frozen=True, eq=False)
@@ -185,13 +195,9 @@ class _Search:
     def prior_rows(self, theta):
         """(value - mean) / standard deviation, and the derivatives."""
         names = [p.name for p in self.model.parameters]
-        r, J = np.zeros(len(self.priors)), np.zeros((len(self.priors), len(theta)))
-        for k, (name, (mean, spread)) in enumerate(self.priors.items()):
-            i = names.index(name)
-            value = self._value(i)
-            r[k] = (float(value(theta[i])) - mean) / spread
-            J[k, i] = float(jax.grad(value)(float(theta[i]))) / spread
-        return r, J
+        place = {name: i for i, name in enumerate(names)}
+        rows = [(place[n], self._value(place[n]), *pair) for n, pair in self.priors.items()]
+        return prior_rows(rows, theta)
 
     def _value(self, i: int):
         """The mean of what a parameter stands for, as a function of theta."""
@@ -286,6 +292,7 @@ def _assembled(model, search, theta, best, count, converged, held_out, begun) ->
         markers=model.markers,
         simulated=blank(best.seen.positions, best.solved[:, None, None]),
         measured=blank(target.positions, np.asarray(target.has_position)),
+        others=_compared(model, best),
         unsolved=int(np.sum(~best.solved)),
         noise_scale=float(scale),
         conflicts=_conflicts(search, theta, weight * flat.T @ flat),
@@ -297,6 +304,22 @@ def _assembled(model, search, theta, best, count, converged, held_out, begun) ->
         seconds=time.perf_counter() - begun,
         postures=model.postures,
     )
+
+
+def _compared(model: Model, best: Evaluation) -> dict[str, Compared]:
+    """What was measured besides markers, by key."""
+    out, at, known = {}, 0, quantities_of(model.setup.scene)
+    for key in model.others:
+        own = slice(at, at + len(known[key].columns))
+        at = own.stop
+        there = np.asarray(model.targets.has_others)[:, own]
+        seen = np.where(best.solved[:, None], np.asarray(best.seen.others)[:, own], np.nan)
+        measured = np.where(there, np.asarray(model.targets.others)[:, own], np.nan)
+        both = np.isfinite(seen - measured)
+        rms = float(np.sqrt(np.mean((seen - measured)[both] ** 2))) if both.any() else np.nan
+        noise = float(model.noise.others[own.start])
+        out[key] = Compared(seen, measured, rms, noise, known[key].unit)
+    return out
 
 
 def _by_clusters(model: Model, r, J, weight: float, covariance):
@@ -314,21 +337,9 @@ def _by_clusters(model: Model, r, J, weight: float, covariance):
 
 def _conflicts(search: _Search, theta, information) -> dict[str, float]:
     """Priors from which the data alone would be over three standard deviations away."""
-    if not search.priors:
-        return {}
-    names = [x.name for x in search.model.parameters]
-    r, J = search.prior_rows(theta)
-    out = {}
-    for k, name in enumerate(search.priors):
-        others = np.delete(np.arange(len(r)), k)
-        without = information + J[others].T @ J[others] + 1e-12 * np.eye(len(theta))
-        i = names.index(name)
-        spread = J[k, i] * np.sqrt(np.linalg.inv(without)[i, i])
-        # What is left of the pull of a prior tells how far the data alone would be.
-        apart = abs(r[k]) * (1 + spread**2) / np.sqrt(1 + spread**2)
-        if apart > 3.0:
-            out[name] = float(apart)
-    return out
+    apart = contradictions(*search.prior_rows(theta), information)
+    pairs = zip(search.priors, apart, strict=True)
+    return {name: float(x) for name, x in pairs if x > CONTRADICTED}
 
 
 def _student(freedom: float) -> float:

@@ -14,7 +14,8 @@ import softrod_jax as sr
 from calibration.experiment.setup import Setup, rotated
 from calibration.parameters.catalogue import moved, parameters_of
 from calibration.parameters.parameter import AbstractParameter
-from calibration.postures.data import NOISE, TURN, Postures
+from calibration.postures.data import NOISE, TURN, Postures, attitude_of
+from calibration.postures.quantities import quantities_of, simulated
 from softrod_jax.scene.inputs import Inputs
 from softrod_jax.scene.tendons import rubbing
 
@@ -22,13 +23,17 @@ from softrod_jax.scene.tendons import rubbing
 _ANY_ERROR = 0.1
 # What a row without an equilibrium counts for, in lengths of the rod.
 _FAILED = 0.5
+# Where no marker tells, in standard deviations.
+_FAILED_OTHERS = 100.0
 
 
 class Seen(NamedTuple):
-    """Markers in the order of their names: positions [m] and quaternions, and a code."""
+    """Markers in the order of their names: positions [m] and quaternions; all numbers of what else
+    was measured, in the order of their keys; and a code."""
 
     positions: Float[Array, "markers 3"]
     quaternions: Float[Array, "markers 4"]
+    others: Float[Array, "others"]
     result: Array
     error: Array
 
@@ -38,8 +43,18 @@ class Targets(NamedTuple):
 
     positions: Float[Array, "rows markers 3"]
     quaternions: Float[Array, "rows markers 4"]
+    others: Float[Array, "rows others"]
     has_position: Bool[Array, "rows markers 3"]
     has_attitude: Bool[Array, "rows markers"]
+    has_others: Bool[Array, "rows others"]
+
+
+class Noise(NamedTuple):
+    """Standard deviations: of positions [m], attitudes [rad], and what else was measured."""
+
+    positions: Float[Array, "markers"]
+    attitudes: Float[Array, "markers"]
+    others: Float[Array, "others"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,11 +104,29 @@ class Model:
         has, turned = np.isfinite(p), np.all(np.isfinite(q), -1)
         q = np.where(turned[..., None], q, [1.0, 0.0, 0.0, 0.0])
         q = q / np.linalg.norm(q, axis=-1, keepdims=True)
-        return Targets(*map(jnp.asarray, (np.nan_to_num(p), q, has, turned)))
+        more = [np.zeros((rows, 0)), *(self.postures.others[key] for key in self.others)]
+        others = np.concatenate(more, axis=1)
+        numbers = np.nan_to_num(p), q, np.nan_to_num(others), has, turned, np.isfinite(others)
+        return Targets(*map(jnp.asarray, numbers))
+
+    @property
+    def others(self) -> tuple[str, ...]:
+        """The keys of what was measured besides markers."""
+        return tuple(self.postures.others)
 
     @cached_property
-    def noise(self) -> Float[np.ndarray, "markers"]:
-        return np.array([self.postures.noise.get(name, NOISE) for name in self.markers])
+    def noise(self) -> Noise:
+        """Raises `ValueError` for a key that the scene does not have."""
+        said, known = self.postures.noise, quantities_of(self.setup.scene)
+        others = []
+        for key in self.others:
+            if key not in known:
+                raise ValueError(f"postures: {key!r} is no measurement; known: {', '.join(known)}")
+            count = len(known[key].columns)
+            others += [said.get(key, known[key].noise)] * count
+        positions = [said.get(name, NOISE) for name in self.markers]
+        attitudes = [said.get(attitude_of(name), TURN) for name in self.markers]
+        return Noise(*(jnp.asarray(x, dtype=float) for x in (positions, attitudes, others)))
 
     def at(self, theta) -> Setup:
         """The setup with the parameters at theta."""
@@ -101,18 +134,19 @@ class Model:
 
     def evaluate(self, theta: Float[np.ndarray, "parameters"]) -> Evaluation:
         """Residuals and derivatives of all rows, on all devices."""
-        program = _program(self._names, self.markers, self.method, self.followed)
+        seen = self.markers, self.others
+        program = _program(self._names, *seen, self.method, self.followed)
         rows, order = self.postures.rows, None
         samples = self._inputs, self.targets, jnp.ones(rows, bool)
         if self.followed:
             order, samples = self._trials
         count = samples[2].shape[0]
         same = lambda x: jnp.broadcast_to(jnp.asarray(x), (count, *jnp.shape(x)))
-        shared = jax.tree.map(same, (jnp.asarray(theta), self.setup, jnp.asarray(self.noise)))
+        shared = jax.tree.map(same, (jnp.asarray(theta), self.setup, self.noise))
         out = program(*shared, *samples)
         if order is not None:
             there, back = np.asarray(samples[2]).ravel(), np.argsort(order)
-            flat = lambda x: np.asarray(x).reshape(-1, *x.shape[2:])[there][back]
+            flat = lambda x: np.concatenate(list(np.asarray(x)))[there][back]
             out = jax.tree.map(flat, out)
         residuals, jacobian, seen = jax.tree.map(np.asarray, out)
         return Evaluation(residuals, jacobian, seen)
@@ -139,7 +173,7 @@ class Model:
 
 
 @functools.cache
-def _program(names, markers, method, followed: bool):
+def _program(names, markers, others, method, followed: bool):
     """The program that all models share whose numbers alone differ: of one row, or of a path.
 
     It maps theta, setup, noise, inputs, targets and whether a row is there to residuals,
@@ -155,10 +189,10 @@ def _program(names, markers, method, followed: bool):
             given: Any = here.arriving(inputs)
             if not followed:
                 solution = sr.solve_static(scene, *given, method=method, throw=False)
-                seen = _seen(here, solution, markers)
+                seen = _seen(here, solution, markers, others)
                 return _residual(seen, target, noise, scene.length), seen
             path = sr.solve_path(scene, *given, method=method, throw=False)
-            seen = jax.vmap(lambda solution: _seen(here, solution, markers))(path)
+            seen = jax.vmap(lambda solution: _seen(here, solution, markers, others))(path)
             residual = lambda seen, target: _residual(seen, target, noise, scene.length)
             return jnp.where(there[:, None], jax.vmap(residual)(seen, target), 0.0), seen
 
@@ -167,27 +201,34 @@ def _program(names, markers, method, followed: bool):
     return sr.spread(one)
 
 
-def _seen(setup: Setup, solution, markers) -> Seen:
+def _seen(setup: Setup, solution, markers, others) -> Seen:
     poses = [solution.markers[name] for name in markers]
-    positions = jnp.stack([pose.position for pose in poses])
-    quaternions = jnp.stack([pose.quaternion for pose in poses])
+    stacked = lambda numbers, n: jnp.stack(numbers) if numbers else jnp.zeros((0, n))
+    positions = stacked([pose.position for pose in poses], 3)
+    quaternions = stacked([pose.quaternion for pose in poses], 4)
     if setup.sensor_offset is not None and "tip" in markers:
         tip = markers.index("tip")
         at = positions[tip] + rotated(quaternions[tip], setup.sensor_offset)
         positions = positions.at[tip].set(at)
-    return Seen(positions, quaternions, solution.result, solution.stats["error"])
+    positions, quaternions = setup.seen_position(positions), setup.seen_attitude(quaternions)
+    more = [jnp.zeros(0), *(simulated(setup.scene, solution, key) for key in others)]
+    result, error = solution.result, solution.stats["error"]
+    return Seen(positions, quaternions, jnp.concatenate(more), result, error)
 
 
-def _residual(seen: Seen, target: Targets, noise, length) -> Float[Array, "numbers"]:
+def _residual(seen: Seen, target: Targets, noise: Noise, length) -> Float[Array, "numbers"]:
     """Of one row, simulated minus measured, in terms of the noise."""
     failed = seen.result != sr.RESULTS.successful
     apart = jnp.where(failed, 0.0, seen.positions - target.positions)
-    apart = jnp.where(target.has_position, apart, 0.0) / noise[:, None]
-    lost = jax.lax.stop_gradient(_FAILED * length) / noise[:, None]
+    apart = jnp.where(target.has_position, apart, 0.0) / noise.positions[:, None]
+    lost = jax.lax.stop_gradient(_FAILED * length) / noise.positions[:, None]
     apart = jnp.where(failed & target.has_position, lost, apart)
-    turn = jax.vmap(_turn_between)(target.quaternions, seen.quaternions) / TURN
+    turn = jax.vmap(_turn_between)(target.quaternions, seen.quaternions)
     turn = jnp.where(target.has_attitude[:, None] & ~failed, turn, 0.0)
-    return jnp.concatenate([apart.ravel(), turn.ravel()])
+    others = jnp.where(failed, 0.0, seen.others - target.others) / noise.others
+    others = jnp.where(failed, _FAILED_OTHERS, others)
+    others = jnp.where(target.has_others, others, 0.0)
+    return jnp.concatenate([apart.ravel(), (turn / noise.attitudes[:, None]).ravel(), others])
 
 
 def _with_jacobian(compared, theta):

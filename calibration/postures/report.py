@@ -29,10 +29,12 @@ def write_posture_report(fit: PostureFit, out_dir: str | PathLike) -> Path:
     out.mkdir(parents=True, exist_ok=True)
     text = json.dumps(posture_json(fit), indent=2, allow_nan=False)
     write_text(out / "parameters.json", text + "\n")
-    pictures = {
-        "Markers in space": _saved(_in_space(fit), out / "markers.png"),
-        "Errors along the body": _saved(_errors(fit), out / "errors.png"),
-    }
+    pictures = {}
+    if fit.markers:
+        pictures["Markers in space"] = _saved(_in_space(fit), out / "markers.png")
+        pictures["Errors along the body"] = _saved(_errors(fit), out / "errors.png")
+    if fit.others:
+        pictures["Other measurements"] = _saved(_others(fit), out / "others.png")
     write_text(out / "report.html", _html(fit, pictures))
     sr.save_scene(fit.setup.simulated_scene(), out / "scene.toml")
     return out
@@ -45,6 +47,10 @@ def posture_json(fit: PostureFit) -> dict:
         "parameters": {name: estimate_as_json(e) for name, e in fit.parameters.items()},
         "rmse_m": {name: plain(_rms(fit, rows)) for name, rows in _logs(fit).items()},
         "rmse_by_marker_m": {name: plain(x) for name, x in fit.rmse_by_marker.items()},
+        "others": {
+            key: {"rms": plain(x.rms), "unit": x.unit, "rms_by_noise": plain(x.rms / x.noise)}
+            for key, x in fit.others.items()
+        },
         "held_out_rmse_m": plain(fit.held_out_m),
         "rows": fit.postures.rows,
         "unsolved_rows": fit.unsolved,
@@ -62,7 +68,12 @@ def posture_summary(fit: PostureFit) -> str:
     """Parameters and what is left of the markers, as lines of text."""
     lines = as_rows(fit.parameters)
     lines += [f"{n}: {1e3 * x:.3g} mm rms" for n, x in fit.rmse_by_marker.items()]
-    lines.append(f"all: {1e3 * fit.rmse_m:.3g} mm rms over {fit.postures.rows} postures")
+    if fit.markers:
+        lines.append(f"all: {1e3 * fit.rmse_m:.3g} mm rms over {fit.postures.rows} postures")
+    lines += [
+        f"{key}: {x.rms:.3g} {x.unit} rms, {x.rms / x.noise:.2g} times the noise"
+        for key, x in fit.others.items()
+    ]
     if fit.held_out_m is not None:
         lines.append(f"kept aside and predicted: {1e3 * fit.held_out_m:.3g} mm rms")
     return "\n".join([*lines, *posture_remarks(fit)])
@@ -105,6 +116,8 @@ def _apart(fit: PostureFit):
 
 
 def _rms(fit: PostureFit, rows):
+    if not np.any(np.isfinite(_apart(fit)[rows])):
+        return None
     return np.sqrt(np.nanmean(_apart(fit)[rows] ** 2))
 
 
@@ -145,6 +158,19 @@ def _errors(fit: PostureFit) -> Figure:
     return figure
 
 
+def _others(fit: PostureFit) -> Figure:
+    figure = Figure(figsize=(10, 3.2 * len(fit.others)), layout="constrained")
+    for axes, (key, x) in zip(
+        figure.subplots(len(fit.others), 1, squeeze=False)[:, 0], fit.others.items()
+    ):
+        for j, colour in enumerate(("#1f77b4", "#2ca02c", "#9467bd")[: x.measured.shape[1]]):
+            axes.plot(x.measured[:, j], ".", ms=4, color=colour, label=f"measured {'xyz'[j]}")
+            axes.plot(x.simulated[:, j], "-", lw=0.8, color=colour)
+        axes.set(xlabel="row", ylabel=f"{key} [{x.unit}]")
+        axes.legend(loc="best")
+    return figure
+
+
 def _saved(figure: Figure, path: Path) -> Path:
     FigureCanvasAgg(figure)
     figure.savefig(path, dpi=110)
@@ -158,12 +184,11 @@ def _html(fit: PostureFit, pictures) -> str:
     parts = [
         "<!doctype html><html lang='en'><meta charset='utf-8'><title>Calibration</title>",
         f"<style>{STYLE}</style><h1>Calibration to postures</h1>",
-        f"<pre>{escape(posture_summary(fit))}</pre><h2>Worst postures</h2>",
-        table(
-            ("row", "trial", "distance [mm]"),
-            [(str(k + 1), labels[k], f"{1e3 * apart[k]:.2f}") for k in worst],
-        ),
+        f"<pre>{escape(posture_summary(fit))}</pre>",
     ]
+    if fit.markers:
+        rows = [(str(k + 1), labels[k], f"{1e3 * apart[k]:.2f}") for k in worst]
+        parts += ["<h2>Worst postures</h2>", table(("row", "trial", "distance [mm]"), rows)]
     for title, path in pictures.items():
         data = base64.b64encode(path.read_bytes()).decode()
         parts.append(f"<h2>{title}</h2><img alt='{title}' src='data:image/png;base64,{data}'>")

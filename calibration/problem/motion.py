@@ -43,7 +43,7 @@ class Motion(eqx.Module):
 def simulate_motion(setup: Setup, batch: Batch, scheme, method) -> Motion:
     """The motion of one recording of the batch (its arrays without the leading axis)."""
     scene = setup.simulated_scene()
-    inputs = setup.arriving(batch.inputs)
+    inputs = setup.arriving_in_time(batch.inputs, batch.dt)
     initial, start_result = None, jnp.zeros((), jnp.int32)
     if batch.any_hanging:
         first = jax.tree.map(lambda x: x[0], inputs)
@@ -79,6 +79,7 @@ def simulate_motion(setup: Setup, batch: Batch, scheme, method) -> Motion:
         turning = jnp.cross(trajectory.velocities[:, -1, 3:], setup.sensor_offset)
         positions = positions + rotated(attitude, setup.sensor_offset)
         velocities = velocities + rotated(attitude, turning)
+    positions, velocities = setup.seen_position(positions), setup.seen_direction(velocities)
     error = jax.lax.stop_gradient(jnp.max(trajectory.stats["error"]))
     return Motion(
         positions,

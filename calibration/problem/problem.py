@@ -4,8 +4,8 @@ A `Problem` evaluates places in its space; a `Point` is such a place with its re
 and its derivatives, which `calibration.problem.evaluation` computes.
 """
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import equinox as eqx
@@ -16,6 +16,7 @@ from jaxtyping import Float
 
 import softrod_jax as sr
 from calibration.experiment.setup import Setup
+from calibration.parameters.priors import Priors, prior_rows
 from calibration.parameters.unknowns import Unknowns, conditioned
 from calibration.problem.batch import Batch, make_batch
 from calibration.problem.dataset import Dataset
@@ -50,10 +51,39 @@ class Point:
     @cached_property
     def gradient(self) -> Float[np.ndarray, "unknowns"]:
         """Derivatives of the loss [m^2]."""
-        prior = 2 * self.problem.prior * self.x
+        pull = 2 * self.pull
         if self.problem.reverse:
-            return np.sum(self._derivatives, axis=0) + prior
-        return 2 * self.jacobian.T @ self.residuals + prior
+            return np.sum(self._derivatives, axis=0) + pull
+        return 2 * self.jacobian.T @ self.residuals + pull
+
+    @cached_property
+    def beliefs(
+        self,
+    ) -> tuple[Float[np.ndarray, "priors"], Float[np.ndarray, "priors unknowns"]]:
+        """How far the parameters are from their priors, in standard deviations, and derivatives."""
+        return prior_rows(self.problem.prior_places, self.x)
+
+    @cached_property
+    def rows(
+        self,
+    ) -> tuple[Float[np.ndarray, "all"], Float[np.ndarray, "all unknowns"]]:
+        """Residuals and those of the priors [m], and their derivatives."""
+        size = np.sqrt(self.problem.variance)
+        r, J = self.beliefs
+        residuals = np.concatenate([self.residuals, size * r])
+        return residuals, np.concatenate([self.jacobian, size * J])
+
+    @cached_property
+    def known(self) -> Float[np.ndarray, "unknowns unknowns"]:
+        """The information of what is believed beforehand of drifts and parameters [m^2]."""
+        _, J = self.beliefs
+        return np.diag(self.problem.prior) + self.problem.variance * J.T @ J
+
+    @cached_property
+    def pull(self) -> Float[np.ndarray, "unknowns"]:
+        """Half the derivative of what that adds to the loss [m^2]."""
+        r, J = self.beliefs
+        return self.problem.prior * self.x + self.problem.variance * J.T @ r
 
     @property
     def _derivatives(self):
@@ -68,8 +98,10 @@ class Point:
 
     @cached_property
     def loss(self) -> float:
-        """What is made small: the misfit and what is believed of drifts beforehand [m^2]."""
-        return self.misfit + float(np.sum(self.problem.prior * self.x**2))
+        """What is made small: the misfit and what is believed beforehand [m^2]."""
+        r, _ = self.beliefs
+        believed = self.problem.variance * np.sum(r**2) + np.sum(self.problem.prior * self.x**2)
+        return self.misfit + float(believed)
 
     @property
     def rms(self) -> float:
@@ -94,7 +126,10 @@ class Point:
 class Problem:
     """Setup, recordings and what is fitted: from x to an evaluated `Point`.
 
-    `reverse`: points have the gradient of the loss, and no Jacobian.
+    - `reverse`: points have the gradient of the loss, and no Jacobian.
+    - `priors`: mean and standard deviation of parameters, by name or label.
+    - `prior_variance` [m^2]: of an independent coordinate of the residuals, by which priors are
+      weighed against them; None: that of the noise alone (`calibration.inference.beliefs`).
     """
 
     setup: Setup
@@ -103,6 +138,8 @@ class Problem:
     scheme: sr.SDIRK | sr.BDFAlpha
     method: sr.Collocation
     reverse: bool = False
+    priors: Priors = field(default_factory=dict)
+    prior_variance: float | None = None
 
     @property
     def scene(self) -> sr.Scene:
@@ -119,6 +156,27 @@ class Problem:
         if drifts.stop > drifts.start:
             prior[drifts] = self.statistics.noise**2
         return prior
+
+    @cached_property
+    def prior_places(self) -> list[tuple[int, Callable, float, float]]:
+        """Of each prior the unknown, its value as a function of x, mean and deviation."""
+        found = []
+        for name, (mean, spread) in self.priors.items():
+            for i, u in enumerate(self.space.parameters.items):
+                if name in (u.label, u.parameter.name):
+                    value = lambda x, u=u: jnp.mean(
+                        jnp.asarray(u.parameter.scale.value(u.initial, x))
+                    )
+                    found.append((i, value, mean, spread))
+        return found
+
+    @cached_property
+    def variance(self) -> float:
+        """That by which priors are weighed [m^2]."""
+        if not self.priors:
+            return 0.0
+        given = self.prior_variance
+        return self.statistics.noise**2 if given is None else given
 
     def weighted(self, weights: Float[np.ndarray, "recordings samples 3"]) -> "Problem":
         """The same problem with other weights."""

@@ -5,6 +5,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from calibration.experiment.setup import Setup
+from calibration.inference.beliefs import contradicted
 from calibration.inference.explain import Explanation
 from calibration.inference.profile import Profile
 from calibration.inference.refinement import Resolved
@@ -59,6 +60,8 @@ def assemble_fit(
         dt={label: c.dt for label, c in zip(data.labels, best.problem.space.clocks, strict=True)},
         method=best.problem.method,
         resolution_note=refinement.note,
+        priors=best.problem.priors,
+        conflicts=contradicted(best),
         checkpoint=history.checkpoint,
         seconds=seconds,
     )

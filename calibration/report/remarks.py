@@ -28,6 +28,7 @@ def remarks(fit: Fit) -> list[str]:
     return [
         *_not_converged(fit),
         *_not_identifiable(fit),
+        *_contradicted(fit),
         *_starts(fit),
         *_numerics(fit),
         *_implausible(fit),
@@ -74,6 +75,15 @@ def _not_identifiable(fit):
         ratio = end / start if start else 1.0
         if ratio > 0.99 * LARGEST_FACTOR or ratio < 1.01 / LARGEST_FACTOR:
             yield f"{name} ran to the end of the range that is searched."
+
+
+def _contradicted(fit):
+    for name, apart in fit.conflicts.items():
+        yield (
+            f"The prior of {name} is contradicted: it and the recordings are {apart:.1f} standard "
+            "deviations apart. One of them is wrong, or the model is; the value lies between them "
+            "and is neither."
+        )
 
 
 def _granted(fit):
@@ -262,7 +272,8 @@ def _drifts(fit):
 
 
 def _beside_the_scene(fit):
-    beside = ("tendon_efficiency", "sensor_offset", "release_duration")
+    beside = ("tendon_efficiency", "sensor_offset", "release_duration", "camera_")
+    beside += ("pressure_lag", "tension_lag", "pull_lag", "pressure_gain")
     names = [k for k, e in fit.parameters.items() if e.name.startswith(beside) or e.recording]
     if names:
         yield (

@@ -130,6 +130,8 @@ class Fit:
     - `material`: name of the material whose range values were compared with, or None.
     - `dt` [s]: the time step used, by recording; `method`: the grid along the rod.
       `resolution_note`: what finer simulations say, if it is more than shifts of parameters.
+    - `priors`: mean and standard deviation of what was known beforehand, by parameter; `conflicts`:
+      those that the recordings contradict, and by how many standard deviations.
     - `checkpoint`: that of the fit, for `calibration.report.writing.write_report` to remove.
     - `seconds`: how long the fit took.
     """
@@ -155,6 +157,8 @@ class Fit:
     dt: dict[str, float]
     method: sr.Collocation
     resolution_note: str
+    priors: Mapping[str, tuple[float, float]]
+    conflicts: Mapping[str, float]
     checkpoint: Checkpoint
     seconds: float
 

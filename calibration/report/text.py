@@ -18,6 +18,10 @@ def summary_text(fit) -> str:
         for r in fit.recordings
     ]
     text += [_predicted(r) for r in fit.held_out]
+    text += [
+        f"{name}: its prior and the recordings are {apart:.1f} standard deviations apart"
+        for name, apart in fit.conflicts.items()
+    ]
     text.append(f"intervals take for granted: {', '.join(taken_for_granted(fit))}")
     return "\n".join(line.rstrip() for line in [*text, fit.result])
 

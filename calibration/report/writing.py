@@ -93,6 +93,8 @@ def as_json(fit: Fit) -> dict:
         "tip_offset_m": {r.name: plain(r.tip_offset) for r in fit.recordings},
         "frame_rotation_rad": {r.name: plain(r.frame_rotation) for r in fit.recordings},
         "conditions": {r.name: dict(r.recording.conditions) for r in fit.recordings},
+        "priors": {name: list(pair) for name, pair in fit.priors.items()},
+        "priors_contradicted": dict(fit.conflicts),
         "correlation": plain(fit.correlation),
         "samples_of_coordinates": fit.samples,
         "effective_samples": fit.effective_samples,
@@ -179,6 +181,7 @@ def _html(fit: Fit, pictures: dict[str, Path], films: dict[str, Path]) -> str:
         "<p><small>Half step, twice the grid: how far the value would move if the simulation were "
         "finer, in half widths of its interval. Intervals take for granted what was not fitted: "
         f"{escape(', '.join(taken_for_granted(fit)))}.</small></p>",
+        *_priors(fit),
         "<h2>Before you use them</h2><ul>",
         *(f"<li>{escape(r)}</li>" for r in remarks(fit) or ["Nothing stands out."]),
         "</ul><h2>Recordings</h2>",
@@ -234,6 +237,26 @@ def _notes(fit: Fit) -> list[str]:
         said = (*r.recording.notes, *conditions, f"taken to begin {r.beginning}")
         lines += [f"<li>{escape(r.name)}: {escape(text)}</li>" for text in said]
     return ["<ul>", *lines, "</ul>"] if lines else []
+
+
+def _priors(fit: Fit) -> list[str]:
+    """What was known beforehand, beside what was found."""
+    rows = []
+    for label, e in fit.parameters.items():
+        pair = fit.priors.get(label, fit.priors.get(e.name))
+        if pair is not None:
+            away = (float(np.mean(e.value)) - pair[0]) / pair[1]
+            rows.append(
+                (
+                    label,
+                    f"{_show(pair[0])} \N{PLUS-MINUS SIGN} {_show(pair[1])}",
+                    _show(e.value),
+                    f"{away:+.2f}",
+                    f"{fit.conflicts[label]:.1f}" if label in fit.conflicts else "",
+                )
+            )
+    head = ("known beforehand", "prior", "value", "away [deviations]", "contradicted by")
+    return [table(head, rows)] if rows else []
 
 
 def _held_out(fit: Fit) -> list[str]:

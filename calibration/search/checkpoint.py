@@ -114,6 +114,7 @@ def _fingerprint(problem: Problem, settings: SearchSettings) -> str:
     """Differs between fits that do not search the same space in the same way."""
     space = problem.space
     how = (settings.optimiser, settings.loss, settings.starts, settings.seed)
+    how += (sorted(problem.priors.items()),) if problem.priors else ()
     parts = hashlib.sha256(repr((space.parameters.names, space.time_offset, how)).encode())
     for leaf in jax.tree.leaves((problem.setup, problem.batch)):
         parts.update(np.asarray(leaf).tobytes())

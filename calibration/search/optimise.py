@@ -126,8 +126,8 @@ def levenberg_marquardt(
     losses = [start.loss]
     for k in range(1, max_iterations + 1):
         J, r = point.jacobian, point.residuals
-        JJ = J.T @ J + np.diag(problem.prior)
-        gradient = J.T @ r + problem.prior * point.x
+        JJ = J.T @ J + point.known
+        gradient = J.T @ r + point.pull
         # At a bound and pushed against it, an unknown stays there.
         free = ~((point.x <= low) & (gradient > 0)) & ~((point.x >= high) & (gradient < 0))
         free[list(fixed)] = False

@@ -82,17 +82,33 @@ def pose_between(
     `strain`: (v, u) at k equally spaced points of each interval, both ends included. From the node
     before `s` on, as `integrate_shape` does over whole intervals.
     """
-    k = jnp.clip(jnp.searchsorted(nodes, s, side="right") - 1, 0, nodes.shape[0] - 2)
-    h = nodes[k + 1] - nodes[k]
-    part = (s - nodes[k]) / jnp.where(h > 0, h, 1.0)
-    at = part * np.arange(5) / 4
-    points = np.linspace(0.0, 1.0, strain.shape[1])
-    others = ~np.eye(len(points), dtype=bool)
-    numerator = jnp.prod(jnp.where(others, at[:, None, None] - points, 1.0), -1)
-    weights = numerator / np.prod(np.where(others, points[:, None] - points, 1.0), -1)
-    local = weights @ strain[k]
+    k, h, part = _within(nodes, s)
+    local = _interpolated(strain[k], part * np.arange(5) / 4)
     p, q = integrate_shape(local, part * h, positions[k], quaternions[k], np.arange(5) / 4, BOOLE)
     return Pose(p[-1], q[-1])
+
+
+def strain_between(
+    strain: Float[Array, "intervals k 6"], nodes: Float[Array, "nodes"], s
+) -> Float[Array, "6"]:
+    """(v, u) at arc length `s` [m]; arguments as of `pose_between`. Where it jumps, that beyond."""
+    k, _, part = _within(nodes, s)
+    return _interpolated(strain[k], part[None])[0]
+
+
+def _within(nodes, s):
+    """The interval that `s` is in, its length, and which part of it comes before `s`."""
+    k = jnp.clip(jnp.searchsorted(nodes, s, side="right") - 1, 0, nodes.shape[0] - 2)
+    h = nodes[k + 1] - nodes[k]
+    return k, h, (s - nodes[k]) / jnp.where(h > 0, h, 1.0)
+
+
+def _interpolated(strain: Float[Array, "k 6"], at: Float[Array, "places"]):
+    """The polynomial through values at equally spaced points of an interval, at parts of it."""
+    points = np.linspace(0.0, 1.0, strain.shape[0])
+    others = ~np.eye(len(points), dtype=bool)
+    numerator = jnp.prod(jnp.where(others, at[:, None, None] - points, 1.0), -1)
+    return (numerator / np.prod(np.where(others, points[:, None] - points, 1.0), -1)) @ strain
 
 
 def _magnus(A0, A1, A2):
