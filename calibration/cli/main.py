@@ -1,4 +1,4 @@
-"""`softrod`: one command, five subcommands, and the one place that turns errors into words.
+"""`softrod`: one command, six subcommands, and the one place that turns errors into words.
 
 Exit status: 0 done, 1 the computation did not succeed, 2 bad input. Results go to stdout,
 `softrod: error: ..` and notes to stderr. JAX is imported by the commands that compute, so that
@@ -10,12 +10,13 @@ import os
 import re
 import sys
 
-from calibration.cli import calibrate, doctor, plot, simulate, solve
+from calibration.cli import calibrate, doctor, modes, plot, simulate, solve
 from calibration.cli.common import UsageError
 
 COMMANDS = {
     "solve": solve,
     "simulate": simulate,
+    "modes": modes,
     "plot": plot,
     "calibrate": calibrate,
     "doctor": doctor,

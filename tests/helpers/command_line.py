@@ -28,7 +28,7 @@ def in_a_directory_of_its_own(tmp_path, monkeypatch):
     """Commands run in `tmp_path`; JAX's cache stays as the tests have it."""
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(common, "prepare_jax", lambda: None)
-    for command in ("solve", "simulate", "plot", "calibrate", "doctor"):
+    for command in ("solve", "simulate", "modes", "plot", "calibrate", "doctor"):
         monkeypatch.setattr(f"calibration.cli.{command}.prepare_jax", lambda: None)
     (tmp_path / "chamber.toml").write_text(CHAMBER)
     sr.save_scene(sr.hybrid_robot(), tmp_path / "robot.toml")
