@@ -1,5 +1,7 @@
 """softrod_jax: a differentiable dynamic Cosserat rod of soft robots."""
 
+from softrod_jax.analysis.inverse import InverseSolution as InverseSolution
+from softrod_jax.analysis.inverse import inverse as inverse
 from softrod_jax.analysis.linear import LinearModel as LinearModel
 from softrod_jax.analysis.linear import linearise as linearise
 from softrod_jax.analysis.modes import Modes as Modes
