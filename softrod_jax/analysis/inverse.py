@@ -6,28 +6,26 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Float, Int, Real
 
-from softrod_jax.analysis.least_effort import Evaluated, least_effort
+from softrod_jax.analysis.least_effort import least_effort
 from softrod_jax.analysis.near_rest import check_smooth
+from softrod_jax.analysis.targets import Known, Problem, answered, missed, turn_between
 from softrod_jax.bvp.collocation import Collocation
 from softrod_jax.bvp.method import AbstractMethod
 from softrod_jax.bvp.newton import NewtonOptions
 from softrod_jax.foundation.compiling import compiled, on_cpu
 from softrod_jax.foundation.precision import require_float64
 from softrod_jax.foundation.results import RESULTS, raise_unless_successful
-from softrod_jax.rod.rotations import quaternion_product
 from softrod_jax.scene.checks import checked_scene
 from softrod_jax.scene.inputs import KINDS, Inputs, whole_number
 from softrod_jax.scene.scene import Scene
-from softrod_jax.statics import solve_from
 
 Limits = Mapping[str, tuple]
 
-# Which of the samples, the nearest first, are starts until a search reaches its target. Neighbours
-# lead to the same place.
-_STARTS = np.array([0, 1, 2, 4, 7, 11, 16, 22, 30, 40, 52, 66])
+# Which of the samples, by their distance, are starts until a search reaches its target. Neighbours
+# often lead to the same place.
+_OTHERS = 0, 1, 2, 4, 7, 11, 16, 22, 30, 40, 52, 66
 
 
 class InverseSolution(eqx.Module):
@@ -79,16 +77,17 @@ def inverse(
       without limits are left out. Where several inputs reach a target, those with the least sum of
       squares are taken, each in terms of the width of its limits.
     - `path`: the targets are places along a path; each search starts from the answer before.
-      Else, and where that does not reach the target, from the nearest of `samples` equilibria under
-      inputs all over the limits, one after the other.
+      Else from the nearest of `samples` equilibria under
+      inputs all over the limits and, where that does not reach the target, from others.
     - `method`: `Collocation(6)` if `None`, on its grid as given; `newton`: of each equilibrium.
     - `tolerance`: a target counts as reached within this many lengths of the rod and radians.
     - `throw`: raise `SolveError` where a target is not reached; else see `InverseSolution.result`.
 
     All targets are one compiled program. What is found is a local solution: other inputs, far from
-    these, may reach a target with less effort, and the nearest point to one that is out of reach
-    may be the nearest only of those around it. What is returned has been solved for once more as
-    `solve_static` does it, from the unloaded rod.
+    these, may reach a target with less effort, most of all where the first start did not lead to
+    it, and the nearest point to one that is out of reach may be the nearest only of those around
+    it. What is returned has been solved for once more as `solve_static` does it, from the unloaded
+    rod.
 
     Works under `jit` and `vmap`; it has no derivatives, and says so: use `actuation_jacobian` at
     the answer. Raises `ValueError` for limits or targets of a wrong shape, for limits that a scene
@@ -110,7 +109,9 @@ def inverse(
         quaternion = None if quaternion is None else quaternion[None]
     without_derivatives((scene, low, high, target, quaternion))
     problem = Problem(scene, low, high, jnp.asarray(tolerance, dtype=float), of, method, newton)
-    found = _inverse(problem, target, quaternion, path, samples)
+    known = problem.solved(jnp.asarray(_spread_out(samples, problem.rest.shape[0])))
+    x, iterations = _search(problem, known, target, quaternion, path)
+    found = _answers(problem, x, iterations, target, quaternion, samples)
     if one:
         found = jax.tree.map(lambda x: x[0], found)
     if throw:
@@ -118,130 +119,75 @@ def inverse(
     return found
 
 
-class Problem(eqx.Module):
-    """What all targets share; `tolerance` in lengths of the rod and radians."""
-
-    scene: Scene
-    low: Inputs
-    high: Inputs
-    tolerance: Float[Array, ""]
-    of: str = eqx.field(static=True)
-    method: AbstractMethod = eqx.field(static=True)
-    newton: NewtonOptions
-
-    @property
-    def rest(self) -> Float[Array, "m"]:
-        """Where effort is zero, in parts of the limits."""
-        low, high = ravel_pytree(self.low)[0], ravel_pytree(self.high)[0]
-        return (jnp.clip(0.0, low, high) - low) / (high - low)
-
-    def inputs(self, x: Float[Array, "m"]) -> Inputs:
-        """Those at parts `x` of the limits."""
-        low, as_inputs = ravel_pytree(self.low)
-        return as_inputs(low + x * (ravel_pytree(self.high)[0] - low))
-
-    def solve(self, x, past=None):
-        """The equilibrium there, after `past`."""
-        return solve_from(self.scene, self.inputs(x), past, None, self.method, self.newton)
-
-    def residual(self, x, past, target, quaternion):
-        """Distances in lengths of the rod, and twice the sines of half the angles."""
-        solution = self.solve(x, past)
-        pose = solution.markers[self.of]
-        r = (pose.position - target) / self.scene.length
-        if quaternion is not None:
-            r = jnp.concatenate([r, 2 * _turn(pose.quaternion, quaternion)])
-        return r, (r, _answered(solution.result), solution.reached)
-
-
-def _answered(result):
-    """Whether there is an equilibrium, be it on too coarse a grid."""
-    return (result == RESULTS.successful) | (result == RESULTS.inaccurate)
-
-
-def _turn(h, target):
-    """The vector of the quaternion from one attitude to the other, the short way."""
-    turn = quaternion_product(h, target * jnp.array([1.0, -1.0, -1.0, -1.0]))
-    return jnp.where(turn[0] < 0, -turn[1:], turn[1:])
-
-
 @compiled
-def _inverse(problem: Problem, target, quaternion, path: bool, samples: int):
+def _search(problem: Problem, known: Known, target, quaternion, path: bool):
+    """Where the search for each target ends, in parts of the limits, and its iterations."""
     rest = problem.rest
-    each = lambda f, xs: jax.lax.map(f, xs) if on_cpu() else jax.vmap(f)(xs)
-    # All over the limits, the same in every call (a Kronecker sequence).
-    x = jnp.asarray(_spread_out(samples, rest.shape[0]))
-    known = each(problem.solve, x)
-    ok = _answered(known.result)
 
-    def starts(target, quaternion):
-        """Where to start, the nearest first."""
-        pose = known.markers[problem.of]
-        away = jnp.sum(((pose.position - target) / problem.scene.length) ** 2, -1)
-        if quaternion is not None:
-            turns = jax.vmap(_turn, (0, None))(pose.quaternion, quaternion)
-            away = away + 4 * jnp.sum(turns**2, -1)
-        chosen = jnp.argsort(jnp.where(ok, away, jnp.inf))[_STARTS[_STARTS < samples]]
-        return x[chosen], jax.tree.map(lambda a: a[chosen], known.reached)
+    def away(target, quaternion):
+        """Squared distances of the samples from a target."""
+        r = jax.vmap(lambda pose: missed(pose, target, quaternion, problem.scene.length))
+        return jnp.where(answered(known.result), jnp.sum(r(known.pose) ** 2, -1), jnp.inf)
 
-    def search(candidates, aim):
+    def sample(k):
+        return known.x[k], jax.tree.map(lambda a: a[k], known.guess)
+
+    def search(first, aim):
         """From one start after the other, until the target is reached."""
-        size = 3 if quaternion is None else 6
-
-        def evaluate(x, past):
-            J, (r, solved, reached) = jax.jacfwd(problem.residual, has_aux=True)(x, past, *aim)
-            return Evaluated(r, J, solved, reached)
+        size, order = 3 if quaternion is None else 6, jnp.argsort(away(*aim))
 
         def unreached(state):
-            k, best, left, _ = state
-            return (k < candidates[0].shape[0]) & ~(left <= problem.tolerance)
+            count, _, left, _ = state
+            return (count <= len(others)) & ~(left <= problem.tolerance)
 
         def one(state):
-            k, best, left, iterations = state
-            end = least_effort(evaluate, *jax.tree.map(lambda a: a[k], candidates), rest, size)
+            count, best, left, iterations = state
+            another = sample(order[jnp.array([0, *others])[count]])
+            start = jax.tree.map(lambda a, b: jnp.where(count == 0, a, b), first, another)
+            evaluate = lambda x, guess: problem.evaluate(x, guess, *aim)
+            end = least_effort(evaluate, *start, rest, size, at_once=count > 0)
             now = jnp.where(end.at.solved, jnp.linalg.norm(end.at.r), jnp.inf)
-            kept = jax.tree.map(
-                lambda a, b: jnp.where(now < left, a, b), (end.x, end.at.past), best
-            )
-            return k + 1, kept, jnp.minimum(left, now), iterations + end.iterations
+            nearer = lambda a, b: jnp.where(now < left, a, b)
+            best = jax.tree.map(nearer, (end.x, end.at.past), best)
+            return count + 1, best, jnp.minimum(left, now), iterations + end.iterations
 
-        first = jax.tree.map(lambda a: a[0], candidates)
+        others = [k for k in _OTHERS if k < known.x.shape[0]]
         none = jnp.zeros((), jnp.int32)
-        _, best, _, iterations = jax.lax.while_loop(
-            unreached, one, (none, first, jnp.array(jnp.inf), none)
-        )
-        return best, _answer(problem, best[0], iterations, *aim)
+        start = (none, first, jnp.array(jnp.inf), none)
+        _, best, _, iterations = jax.lax.while_loop(unreached, one, start)
+        return best, (best[0], iterations)
 
+    nearest = lambda aim: sample(jnp.argmin(away(*aim)))
     aims = (target, quaternion)
-    if not path:
-        return each(lambda aim: search(starts(*aim), aim)[1], aims)
-
-    def follow(before, aim):
-        beside = lambda a, b: jnp.concatenate([a[None], b])
-        return search(jax.tree.map(beside, before, starts(*aim)), aim)
-
-    first = jax.tree.map(lambda a: a[0], starts(*jax.tree.map(lambda a: a[0], aims)))
-    return jax.lax.scan(follow, first, aims)[1]
+    if path:
+        first = nearest(jax.tree.map(lambda a: a[0], aims))
+        return jax.lax.scan(search, first, aims)[1]
+    one = lambda aim: search(nearest(aim), aim)[1]
+    return jax.lax.map(one, aims) if on_cpu() else jax.vmap(one)(aims)
 
 
-def _answer(problem: Problem, x, iterations, target, quaternion) -> InverseSolution:
-    solution = problem.solve(x)
-    pose = solution.markers[problem.of]
-    distance = jnp.linalg.norm(pose.position - target)
-    angle = jnp.zeros(())
+def _answers(problem: Problem, x, iterations, target, quaternion, block: int) -> InverseSolution:
+    """What `solve_static` makes of the inputs at `x`, in blocks that samples have, too."""
+    missing = -x.shape[0] % block
+    rows = jnp.concatenate([x, jnp.repeat(x[-1:], missing, axis=0)]).reshape(-1, block, x.shape[1])
+    solved = [problem.solved(part) for part in rows]
+    joined = jax.tree.map(lambda *a: jnp.concatenate(a)[: x.shape[0]], *solved)
+    pose, result, limit = joined.pose, joined.result, problem.tolerance
+    distance = jnp.linalg.norm(pose.position - target, axis=-1)
+    angle = jnp.zeros_like(distance)
     if quaternion is not None:
-        sine = jnp.linalg.norm(_turn(pose.quaternion, quaternion))
+        sine = jnp.linalg.norm(jax.vmap(turn_between)(pose.quaternion, quaternion), axis=-1)
         angle = 2 * jnp.arcsin(jnp.minimum(sine, 1.0))
-    limit = problem.tolerance
     reached = (distance <= limit * problem.scene.length) & (angle <= limit)
-    result = jnp.where(_answered(solution.result) & ~reached, RESULTS.unreachable, solution.result)
+    result = jnp.where(answered(result) & ~reached, RESULTS.unreachable, result)
+    result = jnp.where(answered(result), RESULTS.successful, result)
     return InverseSolution(
-        **problem.inputs(x)._asdict(),
+        **jax.vmap(problem.inputs)(x)._asdict(),
         position=pose.position,
         quaternion=pose.quaternion,
         distance=distance,
         angle=angle,
-        effort=jnp.sum((x - problem.rest) ** 2),
+        effort=jnp.sum((x - problem.rest) ** 2, axis=-1),
         result=result.astype(jnp.int32),
         iterations=iterations,
     )

@@ -58,12 +58,14 @@ class Search(NamedTuple):
 
 
 def least_effort(
-    evaluate: Callable, x: Float[Array, "m"], past, rest: Float[Array, "m"], size: int
+    evaluate: Callable, x: Float[Array, "m"], past, rest: Float[Array, "m"], size: int, at_once
 ) -> Search:
     """Search from `x` for a residual of this `size`.
 
-    `evaluate(x, past)` gives an `Evaluated`; `past` is that of a point nearby. `rest`: where effort
-    is zero.
+    - `evaluate(x, past)` gives an `Evaluated`; `past` is that of a point nearby.
+    - `rest`: where effort is zero.
+    - `at_once`: whether to look for a residual of zero only, whatever the effort. What asks for
+      much effort lies beside the valley that a heavy weight leads along.
     """
     weights, enough, patience = map(jnp.array, (_WEIGHTS, _ENOUGH, _PATIENCE))
     last = len(_WEIGHTS) - 1
@@ -115,7 +117,8 @@ def least_effort(
 
     none, first = jnp.zeros((), jnp.int32), jnp.array(_FIRST_REACH)
     nothing = Evaluated(jnp.zeros(size), jnp.zeros((size, x.shape[0])), jnp.array(False), past)
-    start = Search(x, nothing, none, none, first, jnp.zeros(size), none, jnp.array(True))
+    stage = jnp.where(at_once, last, 0).astype(jnp.int32)
+    start = Search(x, nothing, stage, none, first, jnp.zeros(size), none, jnp.array(True))
     return jax.lax.while_loop(lambda state: state.running, one, start)
 
 
