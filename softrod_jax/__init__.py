@@ -1,5 +1,13 @@
 """softrod_jax: a differentiable dynamic Cosserat rod of soft robots."""
 
+from softrod_jax.analysis.inverse import InverseSolution as InverseSolution
+from softrod_jax.analysis.inverse import inverse as inverse
+from softrod_jax.analysis.linear import LinearModel as LinearModel
+from softrod_jax.analysis.linear import linearise as linearise
+from softrod_jax.analysis.modes import Modes as Modes
+from softrod_jax.analysis.modes import modes as modes
+from softrod_jax.analysis.sensitivities import actuation_jacobian as actuation_jacobian
+from softrod_jax.analysis.sensitivities import compliance as compliance
 from softrod_jax.bvp.collocation import Collocation as Collocation
 from softrod_jax.bvp.newton import NewtonOptions as NewtonOptions
 from softrod_jax.bvp.shooting import Shooting as Shooting

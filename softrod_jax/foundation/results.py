@@ -14,7 +14,7 @@ from jax.core import Tracer
 
 
 class RESULTS(IntEnum):
-    """Codes of `StaticSolution.result` and `Trajectory.result`."""
+    """Codes of `StaticSolution.result`, `Trajectory.result` and `InverseSolution.result`."""
 
     successful = 0
     no_equilibrium = 1
@@ -22,6 +22,7 @@ class RESULTS(IntEnum):
     max_iterations = 3
     bad_input = 4
     inaccurate = 5
+    unreachable = 6
 
 
 # What happened, and what to do about it in Python.
@@ -53,6 +54,11 @@ _MESSAGES = {
         "take more intervals, or shorter steps along the rod, or in time a smaller dt or more "
         "substeps; with a tolerance: no steps and grid on offer keep it; take a larger one, or "
         "loads that change less suddenly",
+    ),
+    RESULTS.unreachable: (
+        "the target is out of reach within the limits: the inputs are those of the nearest point "
+        "found",
+        "widen the limits, or take that point",
     ),
 }
 

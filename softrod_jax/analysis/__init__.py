@@ -1,0 +1,1 @@
+"""What follows from equilibria and their neighbourhood: linear models, modes, inverse problems."""
