@@ -249,8 +249,8 @@ def _priors(fit: Fit) -> list[str]:
             rows.append(
                 (
                     label,
-                    f"{_show(pair[0])} \N{PLUS-MINUS SIGN} {_show(pair[1])}",
-                    _show(e.value),
+                    f"{show_number(pair[0])} \N{PLUS-MINUS SIGN} {show_number(pair[1])}",
+                    show_number(e.value),
                     f"{away:+.2f}",
                     f"{fit.conflicts[label]:.1f}" if label in fit.conflicts else "",
                 )

@@ -8,6 +8,8 @@ Small angles: coefficients such as sin(x)/x switch to their Taylor series, and t
 is not taken sees a safe argument ("double where"), so that no derivative is NaN at zero.
 """
 
+from collections.abc import Sequence
+
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
@@ -21,7 +23,7 @@ Matrix = Float[Array, "*#batch 3 3"]
 _SMALL = 1e-2
 
 
-def _components(a) -> list:
+def _components(a) -> Sequence[jax.Array]:
     """Its components, each with an axis of its own: fewer operations to trace than by indexing."""
     return jax.lax.split(a, (1,) * a.shape[-1], axis=a.ndim - 1)
 
