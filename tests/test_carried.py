@@ -42,11 +42,7 @@ def times(dt, steps):
     return dt * np.arange(1, steps + 1)
 
 
-HOW = {
-    "collocation": (METHOD, sr.SDIRK(3)),
-    "bdf": (METHOD, sr.BDFAlpha()),
-    "shooting": (sr.Shooting(1, 6), sr.SDIRK(2)),
-}
+HOW = {"bdf": (METHOD, sr.BDFAlpha()), "shooting": (sr.Shooting(1, 6), sr.SDIRK(2))}
 
 
 @pytest.mark.parametrize("method, scheme", HOW.values(), ids=HOW)
