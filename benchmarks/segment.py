@@ -1,4 +1,4 @@
-"""One fit of a pneumatic segment at three pressures: the lag of its valve, the growth of its thrust.
+"""One fit of a pneumatic segment at three pressures: lag of its valve, growth of its thrust.
 
     python benchmarks/segment.py FOLDER
 

@@ -90,6 +90,14 @@ def _add_what(parser) -> None:
         help="with --postures: keep trials aside in N parts, one after the other, and predict them",
     )
     parser.add_argument(
+        "--posterior",
+        choices=("laplace", "nuts"),
+        help="with --postures: draws of the posterior, by Laplace's approximation or by NUTS",
+    )
+    parser.add_argument(
+        "--draws", type=_count, metavar="N", help="with --posterior: how many draws (1000)"
+    )
+    parser.add_argument(
         "--out",
         default=_DEFAULT_OUT,
         metavar="DIR",
@@ -213,8 +221,9 @@ def run(args) -> int:
         from calibration.cli.postures import run_postures
 
         return run_postures(args)
-    if args.folds is not None:
-        raise UsageError("--folds: for --postures only; leave it out")
+    for name in ("folds", "posterior", "draws"):
+        if getattr(args, name) is not None:
+            raise UsageError(f"--{name}: for --postures only; leave it out")
     scene_path, log_paths = (args.scene, args.logs) if args.scene else _example()
     if not log_paths:
         raise UsageError("no recordings: give at least one LOG after the scene")

@@ -12,6 +12,7 @@ from jaxtyping import Float
 
 import softrod_jax as sr
 from calibration.experiment.setup import Setup
+from calibration.inference.posterior import Posterior
 from calibration.inference.uncertainty import IDENTIFIED, NOT_IDENTIFIABLE
 from calibration.parameters.catalogue import as_names, choose, parameters_of, prepared
 from calibration.parameters.priors import (
@@ -21,6 +22,7 @@ from calibration.parameters.priors import (
     prior_rows,
 )
 from calibration.postures.data import Postures
+from calibration.postures.posterior import check_posterior, draw_posterior, log_density
 from calibration.postures.prediction import Evaluation, Model, coarse
 from calibration.postures.quantities import quantities_of
 from calibration.report.results import Estimate
@@ -29,6 +31,8 @@ from calibration.search.minimum import CalibrationError
 _MOST_EVALUATIONS = 60
 # A search ends where the next step promises less than this part of the loss.
 _CONVERGED = 1e-7
+# Where there are priors, the noise is estimated and the fit repeated until the weight is settled.
+_ROUNDS, _UNCHANGED, _LEAST_SCALE = 4, 0.05, 1e-12
 # Clusters a parameter needs for their scatter to say how uncertain it is.
 _CLUSTERS = 3
 
@@ -58,6 +62,7 @@ class PostureFit:
     - `noise_scale`: how many times larger residuals are than the noise that was stated.
     - `conflicts`: priors that the data contradict, by name: how many standard deviations apart.
     - `held_out_m` [m]: rms of trials that were kept aside in turn; `None` if nobody asked.
+    - `posterior`: draws of it; `None` if nobody asked.
     - `information`, (parameters, parameters): of theta, with priors; `correlation`.
     """
 
@@ -80,6 +85,7 @@ class PostureFit:
     converged: bool
     seconds: float
     postures: Postures
+    posterior: Posterior | None = None
 
 
 def calibrate_postures(
@@ -92,6 +98,9 @@ def calibrate_postures(
     folds: int | None = None,
     method: sr.Collocation = sr.Collocation(),  # noqa: B008
     max_evaluations: int = _MOST_EVALUATIONS,
+    posterior: str | None = None,
+    draws: int = 1000,
+    seed: int = 0,
 ) -> PostureFit:
     """Fit numbers of `scene`, and of the bench around it, so that markers are where they were.
 
@@ -105,11 +114,15 @@ def calibrate_postures(
     - `folds`: keep trials (rows, where there are none) aside in so many parts, one after the other,
       and predict them.
     - `method`: the grid along the rod.
+    - `posterior`: "laplace" or "nuts" for `draws` draws of the posterior, with `seed`
+      (`calibration.postures.posterior`); by default none are made.
 
-    Raises `ValueError` for bad arguments, `CalibrationError` if no row can be solved at the
+    Raises `ValueError` for bad arguments, `ImportError` for NUTS without blackjax,
+    `CalibrationError` if no row can be solved at the
     scene's values.
     """
     begun = time.perf_counter()
+    check_posterior(posterior, draws)
     if folds is not None and not postures.positions:
         raise ValueError("folds: the places of markers are predicted, and there are none")
     model = prepared_model(jax.tree.map(jnp.asarray, scene), postures, fit, method)
@@ -117,10 +130,22 @@ def calibrate_postures(
     priors = checked_pairs("priors", priors, names)
     search = _Search(model, priors, checked_pairs("bounds", bounds, names))
     theta, best, count, converged = search.run(np.zeros(len(names)), max_evaluations)
+    for _ in range(_ROUNDS if priors else 0):
+        # A prior weighs as one measurement; how much those of the markers do the residuals tell.
+        weight = 1.0 / max(_noise_scale(best), _LEAST_SCALE) ** 2
+        if abs(weight / search.weight - 1) < _UNCHANGED:
+            break
+        search = replace(search, weight=weight)
+        theta, best, more, converged = search.run(theta, max_evaluations)
+        count += more
     held_out = None
     if folds is not None:
         held_out = _cross_validated(model, search, theta, folds)
-    return _assembled(model, search, theta, best, count, converged, held_out, begun)
+    drawn = None
+    if posterior is not None:
+        drawn = search.posterior(theta, best, posterior, draws, seed)
+    fitted = _assembled(model, search, theta, best, count, converged, held_out, begun)
+    return replace(fitted, posterior=drawn, seconds=time.perf_counter() - begun)
 
 
 def prepared_model(scene: sr.Scene, postures: Postures, fit, method: sr.Collocation) -> Model:
@@ -154,6 +179,7 @@ class _Search:
     model: Model
     priors: dict[str, tuple[float, float]]
     bounds: dict[str, tuple[float, float]]
+    weight: float = 1.0
 
     def run(self, theta, most: int):
         """theta, the evaluation there, how many there were, and whether the search converged."""
@@ -188,8 +214,9 @@ class _Search:
     def _system(self, theta, evaluation: Evaluation):
         """Half the sum of squares, the Jacobian, and all residuals, those of priors last."""
         r, J = self.prior_rows(theta)
-        residuals = np.concatenate([evaluation.residuals.ravel(), r])
-        jacobian = np.concatenate([evaluation.jacobian.reshape(-1, len(theta)), J])
+        size = np.sqrt(self.weight)
+        residuals = np.concatenate([size * evaluation.residuals.ravel(), r])
+        jacobian = np.concatenate([size * evaluation.jacobian.reshape(-1, len(theta)), J])
         return 0.5 * float(residuals @ residuals), jacobian, residuals
 
     def prior_rows(self, theta):
@@ -206,14 +233,27 @@ class _Search:
         return lambda theta: jnp.mean(jnp.asarray(parameter.scale.value(initial, theta)))
 
     def _inside(self, theta):
+        return np.clip(theta, *self.ends())
+
+    def ends(self):
+        """Lowest and highest theta, (parameters,) each."""
+        ends = np.array([[-p.scale.largest, p.scale.largest] for p in self.model.parameters])
         for i, parameter in enumerate(self.model.parameters):
-            low, high = -parameter.scale.largest, parameter.scale.largest
             if parameter.name in self.bounds:
                 initial = np.asarray(parameter.get(self.model.setup))
-                ends = [parameter.scale.theta(initial, x) for x in self.bounds[parameter.name]]
-                low, high = max(low, ends[0]), min(high, ends[1])
-            theta[i] = np.clip(theta[i], low, high)
-        return theta
+                own = [parameter.scale.theta(initial, x) for x in self.bounds[parameter.name]]
+                ends[i] = max(ends[i, 0], own[0]), min(ends[i, 1], own[1])
+        return ends.T
+
+    def posterior(self, theta, best: Evaluation, method: str, draws: int, seed: int) -> Posterior:
+        """Draws about the best place."""
+        names = [p.name for p in self.model.parameters]
+        rows = [(names.index(n), self._value(names.index(n)), *x) for n, x in self.priors.items()]
+        believed = lambda theta: sum(((f(theta[i]) - m) / s) ** 2 for i, f, m, s in rows)
+        density = log_density(self.model, believed, _numbers(best), self.ends())
+        covariance = _covariance(self, theta, best)
+        options = method, draws, seed
+        return draw_posterior(self.model, density, theta, covariance, self.ends(), *options)
 
 
 def _cross_validated(model: Model, search: _Search, theta, folds: int) -> float:
@@ -246,15 +286,13 @@ def _assembled(model, search, theta, best, count, converged, held_out, begun) ->
     p = len(theta)
     r, J = best.residuals, best.jacobian
     prior_r, prior_J = search.prior_rows(theta)
-    numbers = int(np.sum(np.any(J != 0, -1) | (r != 0)))
-    freedom = max(numbers + len(prior_r) - p, 1)
-    scale = np.sqrt(np.sum(r**2) / max(numbers - p, 1))
+    freedom = max(_numbers(best) + len(prior_r) - p, 1)
+    scale = _noise_scale(best)
     # What is stated of noise is relative: how large it is the residuals tell. Priors are absolute.
-    weight = 1.0 / max(scale, 1e-12) ** 2
+    weight = 1.0 / max(scale, _LEAST_SCALE) ** 2
     flat = J.reshape(-1, p)
     information = weight * flat.T @ flat + prior_J.T @ prior_J
-    vague = np.diag([(2.0 / x.scale.largest) ** 2 for x in model.parameters])
-    covariance = np.linalg.inv(information + vague)
+    covariance = _covariance(search, theta, best)
     errors = np.sqrt(np.diag(covariance))
     errors = np.maximum(errors, _by_clusters(model, r, J, weight, covariance))
     quantile = _student(freedom)
@@ -294,7 +332,7 @@ def _assembled(model, search, theta, best, count, converged, held_out, begun) ->
         measured=blank(target.positions, np.asarray(target.has_position)),
         others=_compared(model, best),
         unsolved=int(np.sum(~best.solved)),
-        noise_scale=float(scale),
+        noise_scale=scale,
         conflicts=_conflicts(search, theta, weight * flat.T @ flat),
         held_out_m=held_out,
         information=information,
@@ -304,6 +342,26 @@ def _assembled(model, search, theta, best, count, converged, held_out, begun) ->
         seconds=time.perf_counter() - begun,
         postures=model.postures,
     )
+
+
+def _numbers(best: Evaluation) -> int:
+    """How many residuals there are."""
+    return int(np.sum(np.any(best.jacobian != 0, -1) | (best.residuals != 0)))
+
+
+def _noise_scale(best: Evaluation) -> float:
+    """How many times larger residuals are than the noise that was stated."""
+    freedom = max(_numbers(best) - best.jacobian.shape[-1], 1)
+    return float(np.sqrt(np.sum(best.residuals**2) / freedom))
+
+
+def _covariance(search: _Search, theta, best: Evaluation):
+    """Of theta, by linear least squares; (parameters, parameters)."""
+    flat = best.jacobian.reshape(-1, len(theta))
+    _, prior_J = search.prior_rows(theta)
+    information = flat.T @ flat / max(_noise_scale(best), _LEAST_SCALE) ** 2 + prior_J.T @ prior_J
+    vague = np.diag([(2.0 / x.scale.largest) ** 2 for x in search.model.parameters])
+    return np.linalg.inv(information + vague)
 
 
 def _compared(model: Model, best: Evaluation) -> dict[str, Compared]:
