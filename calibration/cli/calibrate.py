@@ -18,6 +18,7 @@ from calibration.cli.common import (
     positive,
     prepare_jax,
     prior_in,
+    priors_of,
 )
 from calibration.cli.exclusive import alone_in
 
@@ -82,6 +83,11 @@ def _add_what(parser) -> None:
         metavar="NAME=MEAN:SPREAD",
         nargs="+",
         help="what is known beforehand, mean and standard deviation, such as density=1070:20",
+    )
+    parser.add_argument(
+        "--priors-from",
+        metavar="DIR",
+        help="what another fit found, such as one to postures, of what is fitted here, as priors",
     )
     parser.add_argument(
         "--folds",
@@ -284,7 +290,7 @@ def _fitted(args, scene, recordings, held_out, out: Path):
         fit=names_in(args.fit) or None,
         per_recording=names_in(args.per_recording),
         bounds=dict(bound_in(text) for text in args.bounds or ()),
-        priors=dict(prior_in(text) for text in args.prior or ()),
+        priors=_priors(args, scene),
         one_frame=args.one_frame,
         held_out=held_out,
         time_offset=not args.no_time_offset,
@@ -303,6 +309,15 @@ def _fitted(args, scene, recordings, held_out, out: Path):
         resume=args.resume,
         progress=True,
     )
+
+
+def _priors(args, scene) -> dict[str, tuple[float, float]]:
+    """Those of --priors-from that are fitted here, and those of --prior, which go before."""
+    from calibration.parameters.catalogue import choose
+
+    fitted = choose(scene, names_in(args.fit) or None) if args.priors_from else ()
+    found = {k: x for k, x in priors_of(args.priors_from).items() if k in fitted}
+    return {**found, **dict(prior_in(text) for text in args.prior or ())}
 
 
 def _drift(text: str) -> tuple[str, float]:

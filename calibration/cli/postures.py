@@ -13,6 +13,7 @@ _FOR_MOTIONS += (
     "mapping",
     "condition",
     "one_frame",
+    "priors_from",
     "look",
     "window",
     "split",
