@@ -19,20 +19,23 @@ from calibration.parameters.priors import (
     CONTRADICTED,
     checked_pairs,
     contradictions,
-    prior_rows,
 )
 from calibration.postures.data import Postures
-from calibration.postures.posterior import check_posterior, draw_posterior, log_density
+from calibration.postures.posterior import check_posterior
 from calibration.postures.prediction import Evaluation, Model, coarse
 from calibration.postures.quantities import quantities_of
+from calibration.postures.search import (
+    LEAST_SCALE,
+    Search,
+    covariance_of,
+    noise_scale_of,
+    numbers_of,
+)
 from calibration.report.results import Estimate
-from calibration.search.minimum import CalibrationError
 
 _MOST_EVALUATIONS = 60
-# A search ends where the next step promises less than this part of the loss.
-_CONVERGED = 1e-7
 # Where there are priors, the noise is estimated and the fit repeated until the weight is settled.
-_ROUNDS, _UNCHANGED, _LEAST_SCALE = 4, 0.05, 1e-12
+_ROUNDS, _UNCHANGED = 4, 0.05
 # Clusters a parameter needs for their scatter to say how uncertain it is.
 _CLUSTERS = 3
 
@@ -128,11 +131,11 @@ def calibrate_postures(
     model = prepared_model(jax.tree.map(jnp.asarray, scene), postures, fit, method)
     names = [parameter.name for parameter in model.parameters]
     priors = checked_pairs("priors", priors, names)
-    search = _Search(model, priors, checked_pairs("bounds", bounds, names))
+    search = Search(model, priors, checked_pairs("bounds", bounds, names))
     theta, best, count, converged = search.run(np.zeros(len(names)), max_evaluations)
     for _ in range(_ROUNDS if priors else 0):
         # A prior weighs as one measurement; how much those of the markers do the residuals tell.
-        weight = 1.0 / max(_noise_scale(best), _LEAST_SCALE) ** 2
+        weight = 1.0 / max(noise_scale_of(best), LEAST_SCALE) ** 2
         if abs(weight / search.weight - 1) < _UNCHANGED:
             break
         search = replace(search, weight=weight)
@@ -157,7 +160,7 @@ def prepared_model(scene: sr.Scene, postures: Postures, fit, method: sr.Collocat
 def prior_information(model: Model, priors) -> Float[np.ndarray, "parameters parameters"]:
     """What priors say, at theta = 0."""
     names = [parameter.name for parameter in model.parameters]
-    _, J = _Search(model, checked_pairs("priors", priors, names), {}).prior_rows(
+    _, J = Search(model, checked_pairs("priors", priors, names), {}).prior_rows(
         np.zeros(len(names))
     )
     return J.T @ J
@@ -172,91 +175,7 @@ def _prepared(scene: sr.Scene, fit) -> tuple[Setup, tuple[str, ...]]:
     return prepared(scene, names), names
 
 
-@dataclass(frozen=True, eq=False)
-class _Search:
-    """Levenberg and Marquardt's method for the residuals of a model and its priors."""
-
-    model: Model
-    priors: dict[str, tuple[float, float]]
-    bounds: dict[str, tuple[float, float]]
-    weight: float = 1.0
-
-    def run(self, theta, most: int):
-        """theta, the evaluation there, how many there were, and whether the search converged."""
-        model = self.model
-        best = model.evaluate(theta)
-        if not np.any(best.solved):
-            raise CalibrationError(
-                "postures: no row has an equilibrium at the scene's values; see the inputs' units "
-                "and signs, and `softrod solve` for one of them"
-            )
-        count, damping, converged = 1, 1e-3, False
-        loss, J, r = self._system(theta, best)
-        while count < most and not converged:
-            H, g = J.T @ J, J.T @ r
-            step = -np.linalg.solve(H + damping * np.diag(np.diag(H) + 1e-12), g)
-            tried = self._inside(theta + np.clip(step, -2.0, 2.0))
-            promise = -(g @ (tried - theta)) - 0.5 * np.sum((J @ (tried - theta)) ** 2)
-            if promise <= _CONVERGED * loss:
-                converged = True
-                break
-            new = model.evaluate(tried)
-            count += 1
-            new_loss, new_J, new_r = self._system(tried, new)
-            if new_loss < loss:
-                theta, best, loss, J, r = tried, new, new_loss, new_J, new_r
-                damping = max(damping / 10, 1e-9)
-            else:
-                damping *= 10
-                converged = damping > 1e9
-        return theta, best, count, converged
-
-    def _system(self, theta, evaluation: Evaluation):
-        """Half the sum of squares, the Jacobian, and all residuals, those of priors last."""
-        r, J = self.prior_rows(theta)
-        size = np.sqrt(self.weight)
-        residuals = np.concatenate([size * evaluation.residuals.ravel(), r])
-        jacobian = np.concatenate([size * evaluation.jacobian.reshape(-1, len(theta)), J])
-        return 0.5 * float(residuals @ residuals), jacobian, residuals
-
-    def prior_rows(self, theta):
-        """(value - mean) / standard deviation, and the derivatives."""
-        names = [p.name for p in self.model.parameters]
-        place = {name: i for i, name in enumerate(names)}
-        rows = [(place[n], self._value(place[n]), *pair) for n, pair in self.priors.items()]
-        return prior_rows(rows, theta)
-
-    def _value(self, i: int):
-        """The mean of what a parameter stands for, as a function of theta."""
-        parameter = self.model.parameters[i]
-        initial = parameter.get(self.model.setup)
-        return lambda theta: jnp.mean(jnp.asarray(parameter.scale.value(initial, theta)))
-
-    def _inside(self, theta):
-        return np.clip(theta, *self.ends())
-
-    def ends(self):
-        """Lowest and highest theta, (parameters,) each."""
-        ends = np.array([[-p.scale.largest, p.scale.largest] for p in self.model.parameters])
-        for i, parameter in enumerate(self.model.parameters):
-            if parameter.name in self.bounds:
-                initial = np.asarray(parameter.get(self.model.setup))
-                own = [parameter.scale.theta(initial, x) for x in self.bounds[parameter.name]]
-                ends[i] = max(ends[i, 0], own[0]), min(ends[i, 1], own[1])
-        return ends.T
-
-    def posterior(self, theta, best: Evaluation, method: str, draws: int, seed: int) -> Posterior:
-        """Draws about the best place."""
-        names = [p.name for p in self.model.parameters]
-        rows = [(names.index(n), self._value(names.index(n)), *x) for n, x in self.priors.items()]
-        believed = lambda theta: sum(((f(theta[i]) - m) / s) ** 2 for i, f, m, s in rows)
-        density = log_density(self.model, believed, _numbers(best), self.ends())
-        covariance = _covariance(self, theta, best)
-        options = method, draws, seed
-        return draw_posterior(self.model, density, theta, covariance, self.ends(), *options)
-
-
-def _cross_validated(model: Model, search: _Search, theta, folds: int) -> float:
+def _cross_validated(model: Model, search: Search, theta, folds: int) -> float:
     """The rms distance [m] of rows that a fit has not seen."""
     labels = model.postures.labels
     if len(set(labels.tolist())) < folds:
@@ -286,13 +205,13 @@ def _assembled(model, search, theta, best, count, converged, held_out, begun) ->
     p = len(theta)
     r, J = best.residuals, best.jacobian
     prior_r, prior_J = search.prior_rows(theta)
-    freedom = max(_numbers(best) + len(prior_r) - p, 1)
-    scale = _noise_scale(best)
+    freedom = max(numbers_of(best) + len(prior_r) - p, 1)
+    scale = noise_scale_of(best)
     # What is stated of noise is relative: how large it is the residuals tell. Priors are absolute.
-    weight = 1.0 / max(scale, _LEAST_SCALE) ** 2
+    weight = 1.0 / max(scale, LEAST_SCALE) ** 2
     flat = J.reshape(-1, p)
     information = weight * flat.T @ flat + prior_J.T @ prior_J
-    covariance = _covariance(search, theta, best)
+    covariance = covariance_of(search, theta, best)
     errors = np.sqrt(np.diag(covariance))
     errors = np.maximum(errors, _by_clusters(model, r, J, weight, covariance))
     quantile = _student(freedom)
@@ -344,26 +263,6 @@ def _assembled(model, search, theta, best, count, converged, held_out, begun) ->
     )
 
 
-def _numbers(best: Evaluation) -> int:
-    """How many residuals there are."""
-    return int(np.sum(np.any(best.jacobian != 0, -1) | (best.residuals != 0)))
-
-
-def _noise_scale(best: Evaluation) -> float:
-    """How many times larger residuals are than the noise that was stated."""
-    freedom = max(_numbers(best) - best.jacobian.shape[-1], 1)
-    return float(np.sqrt(np.sum(best.residuals**2) / freedom))
-
-
-def _covariance(search: _Search, theta, best: Evaluation):
-    """Of theta, by linear least squares; (parameters, parameters)."""
-    flat = best.jacobian.reshape(-1, len(theta))
-    _, prior_J = search.prior_rows(theta)
-    information = flat.T @ flat / max(_noise_scale(best), _LEAST_SCALE) ** 2 + prior_J.T @ prior_J
-    vague = np.diag([(2.0 / x.scale.largest) ** 2 for x in search.model.parameters])
-    return np.linalg.inv(information + vague)
-
-
 def _compared(model: Model, best: Evaluation) -> dict[str, Compared]:
     """What was measured besides markers, by key."""
     out, at, known = {}, 0, quantities_of(model.setup.scene)
@@ -393,7 +292,7 @@ def _by_clusters(model: Model, r, J, weight: float, covariance):
     return np.sqrt(np.diag(covariance @ meat @ covariance))
 
 
-def _conflicts(search: _Search, theta, information) -> dict[str, float]:
+def _conflicts(search: Search, theta, information) -> dict[str, float]:
     """Priors from which the data alone would be over three standard deviations away."""
     apart = contradictions(*search.prior_rows(theta), information)
     pairs = zip(search.priors, apart, strict=True)

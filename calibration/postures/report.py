@@ -14,7 +14,8 @@ from matplotlib.figure import Figure
 import softrod_jax as sr
 from calibration.postures.fitting import PostureFit
 from calibration.report.provenance import provenance
-from calibration.report.writing import STYLE, as_rows, estimate_as_json, plain, table, write_text
+from calibration.report.tables import table
+from calibration.report.writing import STYLE, as_rows, estimate_as_json, plain, write_text
 
 _MEASURED, _SIMULATED = "#1f77b4", "#d62728"
 _WORST = 8

@@ -15,6 +15,7 @@ from calibration.report.plots import write_plots
 from calibration.report.provenance import provenance
 from calibration.report.remarks import remarks
 from calibration.report.results import Estimate, Fit
+from calibration.report.tables import Html, table
 
 
 def write_report(fit: Fit, out_dir: str | PathLike) -> Path:
@@ -274,15 +275,9 @@ def _priors(fit: Fit) -> list[str]:
         pair = fit.priors.get(label, fit.priors.get(e.name))
         if pair is not None:
             away = (float(np.mean(e.value)) - pair[0]) / pair[1]
-            rows.append(
-                (
-                    label,
-                    f"{_show(pair[0])} \N{PLUS-MINUS SIGN} {_show(pair[1])}",
-                    _show(e.value),
-                    f"{away:+.2f}",
-                    f"{fit.conflicts[label]:.1f}" if label in fit.conflicts else "",
-                )
-            )
+            prior = f"{_show(pair[0])} \N{PLUS-MINUS SIGN} {_show(pair[1])}"
+            apart = f"{fit.conflicts[label]:.1f}" if label in fit.conflicts else ""
+            rows.append((label, prior, _show(e.value), f"{away:+.2f}", apart))
     head = ("known beforehand", "prior", "value", "away [deviations]", "contradicted by")
     return [table(head, rows)] if rows else []
 
@@ -398,16 +393,3 @@ def _interval(e: Estimate) -> str:
 
 def _show(value) -> str:
     return ", ".join(f"{x:.4g}" for x in np.ravel(value))
-
-
-class Html(str):
-    """Text that is HTML; all other text is escaped where it goes into a table."""
-
-
-def table(head, rows) -> str:
-    """An HTML table; text is escaped."""
-    shown = lambda cell: cell if isinstance(cell, Html) else escape(cell)
-    line = lambda cells, tag: (
-        "<tr>" + "".join(f"<{tag}>{shown(c)}</{tag}>" for c in cells) + "</tr>"
-    )
-    return "<table>" + line(head, "th") + "".join(line(row, "td") for row in rows) + "</table>"
