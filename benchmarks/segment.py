@@ -1,4 +1,4 @@
-"""One fit of a pneumatic segment at three pressures: lag of the valve, growth of the thrust.
+"""One fit of a pneumatic segment at three pressures: lag of its valve, growth of its thrust.
 
     python benchmarks/segment.py FOLDER
 

@@ -21,6 +21,7 @@ from calibration.cli.common import (
     positive,
     prepare_jax,
     prior_in,
+    priors_of,
 )
 from calibration.cli.exclusive import alone_in
 from calibration.cli.waiting import waiting
@@ -99,10 +100,23 @@ def _add_what(parser) -> None:
         help="what is known beforehand, mean and standard deviation, such as density=1070:20",
     )
     parser.add_argument(
+        "--priors-from",
+        metavar="DIR",
+        help="what another fit found, such as one to postures, of what is fitted here, as priors",
+    )
+    parser.add_argument(
         "--folds",
         type=_count,
         metavar="N",
         help="with --postures: keep trials aside in N parts, one after the other, and predict them",
+    )
+    parser.add_argument(
+        "--posterior",
+        choices=("laplace", "nuts"),
+        help="with --postures: draws of the posterior, by Laplace's approximation or by NUTS",
+    )
+    parser.add_argument(
+        "--draws", type=_count, metavar="N", help="with --posterior: how many draws (1000)"
     )
     parser.add_argument(
         "--out",
@@ -228,8 +242,9 @@ def run(args) -> int:
         from calibration.cli.postures import run_postures
 
         return run_postures(args)
-    if args.folds is not None:
-        raise UsageError("--folds: for --postures only; leave it out")
+    for name in ("folds", "posterior", "draws"):
+        if getattr(args, name) is not None:
+            raise UsageError(f"--{name}: for --postures only; leave it out")
     scene_path, log_paths = (args.scene, args.logs) if args.scene else _example()
     if not log_paths:
         raise UsageError("no recordings: give at least one LOG after the scene")
@@ -298,7 +313,7 @@ def _fitted(args, scene, recordings, held_out, out: Path):
         fit=names_in(args.fit) or None,
         per_recording=names_in(args.per_recording),
         bounds=dict(bound_in(text) for text in args.bounds or ()),
-        priors=dict(prior_in(text) for text in args.prior or ()),
+        priors=_priors(args, scene),
         one_frame=args.one_frame,
         held_out=held_out,
         time_offset=not args.no_time_offset,
@@ -317,6 +332,15 @@ def _fitted(args, scene, recordings, held_out, out: Path):
         resume=args.resume,
         progress=True,
     )
+
+
+def _priors(args, scene) -> dict[str, tuple[float, float]]:
+    """Those of --priors-from that are fitted here, and those of --prior, which go before."""
+    from calibration.parameters.catalogue import choose
+
+    fitted = choose(scene, names_in(args.fit) or None) if args.priors_from else ()
+    found = {k: x for k, x in priors_of(args.priors_from).items() if k in fitted}
+    return {**found, **dict(prior_in(text) for text in args.prior or ())}
 
 
 def _drift(text: str) -> tuple[str, float]:

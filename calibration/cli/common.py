@@ -243,6 +243,28 @@ def bound_in(text: str) -> tuple[str, tuple[float, float]]:
     return pair_in("bounds", text, "NAME=LOW:HIGH, such as young_modulus=1e5:1e6")
 
 
+def priors_of(directory: str | None) -> dict[str, tuple[float, float]]:
+    """What another fit found, as priors: of each parameter that it identified the value and a
+    quarter of the interval's width.
+
+    Raises `UsageError` for a directory that has no fit.
+    """
+    if directory is None:
+        return {}
+    path = Path(directory) / "parameters.json"
+    wrong = UsageError(f"--priors-from {directory}: {path} is not what `softrod calibrate` writes")
+    try:
+        told = json.loads(path.read_text(encoding="utf-8"))["parameters"]
+        found = {}
+        for name, e in told.items():
+            if e["identifiable"] and e["recording"] is None and isinstance(e["value"], float):
+                low, high = e["ci95"]
+                found[name] = (e["value"], (high - low) / 4)
+    except (ValueError, KeyError, TypeError, AttributeError):
+        raise wrong from None
+    return found
+
+
 def prior_in(text: str) -> tuple[str, tuple[float, float]]:
     """NAME=MEAN:SPREAD."""
     return pair_in("prior", text, "NAME=MEAN:SPREAD, such as density=1070:20")

@@ -2,6 +2,7 @@
 
 import contextlib
 import os
+from importlib.util import find_spec
 from pathlib import Path
 
 from calibration.cli.common import UsageError, bound_in, names_in, prepare_jax, prior_in
@@ -12,6 +13,7 @@ _FOR_MOTIONS += (
     "mapping",
     "condition",
     "one_frame",
+    "priors_from",
     "look",
     "window",
     "split",
@@ -26,6 +28,10 @@ def run_postures(args) -> int:
     for name in _FOR_MOTIONS:
         if getattr(args, name):
             raise UsageError(f"--{name.replace('_', '-')}: for motions only; leave it out")
+    if args.draws is not None and args.posterior is None:
+        raise UsageError("--draws: of --posterior, which is not there; give it, or leave it out")
+    if args.posterior == "nuts" and find_spec("blackjax") is None:
+        raise UsageError("--posterior nuts: needs blackjax: pip install 'softrod_jax[posterior]'")
     if not args.fit:
         raise UsageError("--fit: name what to fit, such as young_modulus,tendons[*].friction")
     bounds = dict(bound_in(text) for text in args.bounds or ())
@@ -62,6 +68,8 @@ def run_postures(args) -> int:
             bounds=bounds,
             folds=args.folds,
             method=method,
+            posterior=args.posterior,
+            draws=args.draws or 1000,
         )
         write_posture_report(fit, out)
     if args.json:

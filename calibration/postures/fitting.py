@@ -12,23 +12,30 @@ from jaxtyping import Float
 
 import softrod_jax as sr
 from calibration.experiment.setup import Setup
+from calibration.inference.posterior import Posterior
 from calibration.inference.uncertainty import IDENTIFIED, NOT_IDENTIFIABLE
 from calibration.parameters.catalogue import as_names, choose, parameters_of, prepared
 from calibration.parameters.priors import (
     CONTRADICTED,
     checked_pairs,
     contradictions,
-    prior_rows,
 )
 from calibration.postures.data import Postures
+from calibration.postures.posterior import check_posterior
 from calibration.postures.prediction import Evaluation, Model, coarse
 from calibration.postures.quantities import quantities_of
+from calibration.postures.search import (
+    LEAST_SCALE,
+    Search,
+    covariance_of,
+    noise_scale_of,
+    numbers_of,
+)
 from calibration.report.results import Estimate
-from calibration.search.minimum import CalibrationError
 
 _MOST_EVALUATIONS = 60
-# A search ends where the next step promises less than this part of the loss.
-_CONVERGED = 1e-7
+# Where there are priors, the noise is estimated and the fit repeated until the weight is settled.
+_ROUNDS, _UNCHANGED = 4, 0.05
 # Clusters a parameter needs for their scatter to say how uncertain it is.
 _CLUSTERS = 3
 
@@ -58,6 +65,7 @@ class PostureFit:
     - `noise_scale`: how many times larger residuals are than the noise that was stated.
     - `conflicts`: priors that the data contradict, by name: how many standard deviations apart.
     - `held_out_m` [m]: rms of trials that were kept aside in turn; `None` if nobody asked.
+    - `posterior`: draws of it; `None` if nobody asked.
     - `information`, (parameters, parameters): of theta, with priors; `correlation`.
     """
 
@@ -80,6 +88,7 @@ class PostureFit:
     converged: bool
     seconds: float
     postures: Postures
+    posterior: Posterior | None = None
 
 
 def calibrate_postures(
@@ -92,6 +101,9 @@ def calibrate_postures(
     folds: int | None = None,
     method: sr.Collocation = sr.Collocation(),  # noqa: B008
     max_evaluations: int = _MOST_EVALUATIONS,
+    posterior: str | None = None,
+    draws: int = 1000,
+    seed: int = 0,
 ) -> PostureFit:
     """Fit numbers of `scene`, and of the bench around it, so that markers are where they were.
 
@@ -105,22 +117,38 @@ def calibrate_postures(
     - `folds`: keep trials (rows, where there are none) aside in so many parts, one after the other,
       and predict them.
     - `method`: the grid along the rod.
+    - `posterior`: "laplace" or "nuts" for `draws` draws of the posterior, with `seed`
+      (`calibration.postures.posterior`); by default none are made.
 
-    Raises `ValueError` for bad arguments, `CalibrationError` if no row can be solved at the
+    Raises `ValueError` for bad arguments, `ImportError` for NUTS without blackjax,
+    `CalibrationError` if no row can be solved at the
     scene's values.
     """
     begun = time.perf_counter()
+    check_posterior(posterior, draws)
     if folds is not None and not postures.positions:
         raise ValueError("folds: the places of markers are predicted, and there are none")
     model = prepared_model(jax.tree.map(jnp.asarray, scene), postures, fit, method)
     names = [parameter.name for parameter in model.parameters]
     priors = checked_pairs("priors", priors, names)
-    search = _Search(model, priors, checked_pairs("bounds", bounds, names))
+    search = Search(model, priors, checked_pairs("bounds", bounds, names))
     theta, best, count, converged = search.run(np.zeros(len(names)), max_evaluations)
+    for _ in range(_ROUNDS if priors else 0):
+        # A prior weighs as one measurement; how much those of the markers do the residuals tell.
+        weight = 1.0 / max(noise_scale_of(best), LEAST_SCALE) ** 2
+        if abs(weight / search.weight - 1) < _UNCHANGED:
+            break
+        search = replace(search, weight=weight)
+        theta, best, more, converged = search.run(theta, max_evaluations)
+        count += more
     held_out = None
     if folds is not None:
         held_out = _cross_validated(model, search, theta, folds)
-    return _assembled(model, search, theta, best, count, converged, held_out, begun)
+    drawn = None
+    if posterior is not None:
+        drawn = search.posterior(theta, best, posterior, draws, seed)
+    fitted = _assembled(model, search, theta, best, count, converged, held_out, begun)
+    return replace(fitted, posterior=drawn, seconds=time.perf_counter() - begun)
 
 
 def prepared_model(scene: sr.Scene, postures: Postures, fit, method: sr.Collocation) -> Model:
@@ -132,7 +160,7 @@ def prepared_model(scene: sr.Scene, postures: Postures, fit, method: sr.Collocat
 def prior_information(model: Model, priors) -> Float[np.ndarray, "parameters parameters"]:
     """What priors say, at theta = 0."""
     names = [parameter.name for parameter in model.parameters]
-    _, J = _Search(model, checked_pairs("priors", priors, names), {}).prior_rows(
+    _, J = Search(model, checked_pairs("priors", priors, names), {}).prior_rows(
         np.zeros(len(names))
     )
     return J.T @ J
@@ -147,76 +175,7 @@ def _prepared(scene: sr.Scene, fit) -> tuple[Setup, tuple[str, ...]]:
     return prepared(scene, names), names
 
 
-@dataclass(frozen=True, eq=False)
-class _Search:
-    """Levenberg and Marquardt's method for the residuals of a model and its priors."""
-
-    model: Model
-    priors: dict[str, tuple[float, float]]
-    bounds: dict[str, tuple[float, float]]
-
-    def run(self, theta, most: int):
-        """theta, the evaluation there, how many there were, and whether the search converged."""
-        model = self.model
-        best = model.evaluate(theta)
-        if not np.any(best.solved):
-            raise CalibrationError(
-                "postures: no row has an equilibrium at the scene's values; see the inputs' units "
-                "and signs, and `softrod solve` for one of them"
-            )
-        count, damping, converged = 1, 1e-3, False
-        loss, J, r = self._system(theta, best)
-        while count < most and not converged:
-            H, g = J.T @ J, J.T @ r
-            step = -np.linalg.solve(H + damping * np.diag(np.diag(H) + 1e-12), g)
-            tried = self._inside(theta + np.clip(step, -2.0, 2.0))
-            promise = -(g @ (tried - theta)) - 0.5 * np.sum((J @ (tried - theta)) ** 2)
-            if promise <= _CONVERGED * loss:
-                converged = True
-                break
-            new = model.evaluate(tried)
-            count += 1
-            new_loss, new_J, new_r = self._system(tried, new)
-            if new_loss < loss:
-                theta, best, loss, J, r = tried, new, new_loss, new_J, new_r
-                damping = max(damping / 10, 1e-9)
-            else:
-                damping *= 10
-                converged = damping > 1e9
-        return theta, best, count, converged
-
-    def _system(self, theta, evaluation: Evaluation):
-        """Half the sum of squares, the Jacobian, and all residuals, those of priors last."""
-        r, J = self.prior_rows(theta)
-        residuals = np.concatenate([evaluation.residuals.ravel(), r])
-        jacobian = np.concatenate([evaluation.jacobian.reshape(-1, len(theta)), J])
-        return 0.5 * float(residuals @ residuals), jacobian, residuals
-
-    def prior_rows(self, theta):
-        """(value - mean) / standard deviation, and the derivatives."""
-        names = [p.name for p in self.model.parameters]
-        place = {name: i for i, name in enumerate(names)}
-        rows = [(place[n], self._value(place[n]), *pair) for n, pair in self.priors.items()]
-        return prior_rows(rows, theta)
-
-    def _value(self, i: int):
-        """The mean of what a parameter stands for, as a function of theta."""
-        parameter = self.model.parameters[i]
-        initial = parameter.get(self.model.setup)
-        return lambda theta: jnp.mean(jnp.asarray(parameter.scale.value(initial, theta)))
-
-    def _inside(self, theta):
-        for i, parameter in enumerate(self.model.parameters):
-            low, high = -parameter.scale.largest, parameter.scale.largest
-            if parameter.name in self.bounds:
-                initial = np.asarray(parameter.get(self.model.setup))
-                ends = [parameter.scale.theta(initial, x) for x in self.bounds[parameter.name]]
-                low, high = max(low, ends[0]), min(high, ends[1])
-            theta[i] = np.clip(theta[i], low, high)
-        return theta
-
-
-def _cross_validated(model: Model, search: _Search, theta, folds: int) -> float:
+def _cross_validated(model: Model, search: Search, theta, folds: int) -> float:
     """The rms distance [m] of rows that a fit has not seen."""
     labels = model.postures.labels
     if len(set(labels.tolist())) < folds:
@@ -246,15 +205,13 @@ def _assembled(model, search, theta, best, count, converged, held_out, begun) ->
     p = len(theta)
     r, J = best.residuals, best.jacobian
     prior_r, prior_J = search.prior_rows(theta)
-    numbers = int(np.sum(np.any(J != 0, -1) | (r != 0)))
-    freedom = max(numbers + len(prior_r) - p, 1)
-    scale = np.sqrt(np.sum(r**2) / max(numbers - p, 1))
+    freedom = max(numbers_of(best) + len(prior_r) - p, 1)
+    scale = noise_scale_of(best)
     # What is stated of noise is relative: how large it is the residuals tell. Priors are absolute.
-    weight = 1.0 / max(scale, 1e-12) ** 2
+    weight = 1.0 / max(scale, LEAST_SCALE) ** 2
     flat = J.reshape(-1, p)
     information = weight * flat.T @ flat + prior_J.T @ prior_J
-    vague = np.diag([(2.0 / x.scale.largest) ** 2 for x in model.parameters])
-    covariance = np.linalg.inv(information + vague)
+    covariance = covariance_of(search, theta, best)
     errors = np.sqrt(np.diag(covariance))
     errors = np.maximum(errors, _by_clusters(model, r, J, weight, covariance))
     quantile = _student(freedom)
@@ -294,7 +251,7 @@ def _assembled(model, search, theta, best, count, converged, held_out, begun) ->
         measured=blank(target.positions, np.asarray(target.has_position)),
         others=_compared(model, best),
         unsolved=int(np.sum(~best.solved)),
-        noise_scale=float(scale),
+        noise_scale=scale,
         conflicts=_conflicts(search, theta, weight * flat.T @ flat),
         held_out_m=held_out,
         information=information,
@@ -335,7 +292,7 @@ def _by_clusters(model: Model, r, J, weight: float, covariance):
     return np.sqrt(np.diag(covariance @ meat @ covariance))
 
 
-def _conflicts(search: _Search, theta, information) -> dict[str, float]:
+def _conflicts(search: Search, theta, information) -> dict[str, float]:
     """Priors from which the data alone would be over three standard deviations away."""
     apart = contradictions(*search.prior_rows(theta), information)
     pairs = zip(search.priors, apart, strict=True)

@@ -151,6 +151,15 @@ class Model:
         residuals, jacobian, seen = jax.tree.map(np.asarray, out)
         return Evaluation(residuals, jacobian, seen)
 
+    def squares(self, theta: Float[Array, "parameters"]) -> Float[Array, ""]:
+        """The sum of squares of all residuals, which can be traced and differentiated in theta."""
+        compare = _comparison(self._names, self.markers, self.others, self.method, self.followed)
+        samples = self._inputs, self.targets, jnp.ones(self.postures.rows, bool)
+        if self.followed:
+            _, samples = self._trials
+        of_one = lambda sample: jnp.sum(compare(theta, self.setup, self.noise, *sample)[0] ** 2)
+        return jnp.sum(jax.vmap(of_one)(samples))
+
     @property
     def _names(self) -> tuple[str, ...]:
         return tuple(parameter.name for parameter in self.parameters)
@@ -173,30 +182,34 @@ class Model:
 
 
 @functools.cache
+def _comparison(names, markers, others, method, followed: bool):
+    """From theta, setup, noise, inputs, targets and whether a row is there to residuals and what
+    was seen: of one row, or of a path."""
+
+    def compare(theta, setup, noise, inputs, target, there):
+        here = moved(setup, parameters_of(setup.scene, names), theta)
+        scene = here.simulated_scene()
+        given: Any = here.arriving(inputs)
+        if not followed:
+            solution = sr.solve_static(scene, *given, method=method, throw=False)
+            seen = _seen(here, solution, markers, others)
+            return _residual(seen, target, noise, scene.length), seen
+        path = sr.solve_path(scene, *given, method=method, throw=False)
+        seen = jax.vmap(lambda solution: _seen(here, solution, markers, others))(path)
+        residual = lambda seen, target: _residual(seen, target, noise, scene.length)
+        return jnp.where(there[:, None], jax.vmap(residual)(seen, target), 0.0), seen
+
+    return compare
+
+
+@functools.cache
 def _program(names, markers, others, method, followed: bool):
-    """The program that all models share whose numbers alone differ: of one row, or of a path.
+    """The program that all models share whose numbers alone differ: residuals, their derivatives
+    and what was seen, as `_comparison` has them."""
+    compare = _comparison(names, markers, others, method, followed)
 
-    It maps theta, setup, noise, inputs, targets and whether a row is there to residuals,
-    derivatives and what was seen.
-    """
-
-    def one(theta, setup, noise, inputs, target, there):
-        parameters = parameters_of(setup.scene, names)
-
-        def compared(theta):
-            here = moved(setup, parameters, theta)
-            scene = here.simulated_scene()
-            given: Any = here.arriving(inputs)
-            if not followed:
-                solution = sr.solve_static(scene, *given, method=method, throw=False)
-                seen = _seen(here, solution, markers, others)
-                return _residual(seen, target, noise, scene.length), seen
-            path = sr.solve_path(scene, *given, method=method, throw=False)
-            seen = jax.vmap(lambda solution: _seen(here, solution, markers, others))(path)
-            residual = lambda seen, target: _residual(seen, target, noise, scene.length)
-            return jnp.where(there[:, None], jax.vmap(residual)(seen, target), 0.0), seen
-
-        return _with_jacobian(compared, theta)
+    def one(theta, *rest):
+        return _with_jacobian(lambda theta: compare(theta, *rest), theta)
 
     return sr.spread(one)
 

@@ -5,6 +5,7 @@ import json
 from html import escape
 from os import PathLike
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
@@ -13,15 +14,17 @@ from matplotlib.figure import Figure
 import softrod_jax as sr
 from calibration.postures.fitting import PostureFit
 from calibration.report.provenance import provenance
+from calibration.report.tables import table
 from calibration.report.text import as_rows
-from calibration.report.writing import STYLE, estimate_as_json, plain, table, write_text
+from calibration.report.writing import STYLE, estimate_as_json, plain, write_text
 
 _MEASURED, _SIMULATED = "#1f77b4", "#d62728"
 _WORST = 8
 
 
 def write_posture_report(fit: PostureFit, out_dir: str | PathLike) -> Path:
-    """Write `parameters.json`, `report.html`, `scene.toml` and pictures into `out_dir`.
+    """Write `parameters.json`, `report.html`, `scene.toml` and pictures into `out_dir`, and
+    `posterior.npz`, the draws by the name of the parameter, where there are any.
 
     Raises `OSError` if a file cannot be written.
     """
@@ -37,6 +40,9 @@ def write_posture_report(fit: PostureFit, out_dir: str | PathLike) -> Path:
         pictures["Other measurements"] = _saved(_others(fit), out / "others.png")
     write_text(out / "report.html", _html(fit, pictures))
     sr.save_scene(fit.setup.simulated_scene(), out / "scene.toml")
+    if fit.posterior is not None:
+        draws: dict[str, Any] = dict(fit.posterior.values)
+        np.savez(out / "posterior.npz", **draws)
     return out
 
 
@@ -52,6 +58,7 @@ def posture_json(fit: PostureFit) -> dict:
             for key, x in fit.others.items()
         },
         "held_out_rmse_m": plain(fit.held_out_m),
+        "posterior": _posterior(fit),
         "rows": fit.postures.rows,
         "unsolved_rows": fit.unsolved,
         "noise_scale": plain(fit.noise_scale),
@@ -61,6 +68,22 @@ def posture_json(fit: PostureFit) -> dict:
         "seconds": fit.seconds,
         "remarks": posture_remarks(fit),
         "made_by": provenance(fit.postures.source.split("\n")),
+    }
+
+
+def _posterior(fit: PostureFit) -> dict | None:
+    """The draws' intervals and how good they are."""
+    drawn = fit.posterior
+    if drawn is None:
+        return None
+    return {
+        "method": drawn.method,
+        "ci95": {name: [plain(end) for end in ends] for name, ends in drawn.ci95.items()},
+        "median": {name: plain(np.median(x, axis=0)) for name, x in drawn.values.items()},
+        "draws": len(drawn.theta),
+        "effective_draws": drawn.effective,
+        "gelman_rubin": drawn.mixed,
+        "divergent": drawn.divergent,
     }
 
 
@@ -74,6 +97,12 @@ def posture_summary(fit: PostureFit) -> str:
         f"{key}: {x.rms:.3g} {x.unit} rms, {x.rms / x.noise:.2g} times the noise"
         for key, x in fit.others.items()
     ]
+    if fit.posterior is not None:
+        for name, ends in fit.posterior.ci95.items():
+            low, high = (", ".join(f"{x:.4g}" for x in np.ravel(end)) for end in ends)
+            lines.append(
+                f"{name}: 95 % of the posterior ({fit.posterior.method}) in {low} .. {high}"
+            )
     if fit.held_out_m is not None:
         lines.append(f"kept aside and predicted: {1e3 * fit.held_out_m:.3g} mm rms")
     return "\n".join([*lines, *posture_remarks(fit)])
@@ -97,7 +126,7 @@ def posture_remarks(fit: PostureFit) -> list[str]:
     names, C = list(fit.parameters), np.abs(fit.correlation)
     pairs = [(i, j) for j in range(len(names)) for i in range(j) if C[i, j] > 0.95]
     said += [f"{names[i]} and {names[j]} are told apart badly ({C[i, j]:.3f})." for i, j in pairs]
-    return said
+    return said + (fit.posterior.remarks if fit.posterior is not None else [])
 
 
 def _logs(fit: PostureFit) -> dict[str, np.ndarray]:

@@ -16,6 +16,7 @@ from calibration.report.plots import write_plots
 from calibration.report.provenance import provenance
 from calibration.report.remarks import remarks
 from calibration.report.results import Estimate, Fit
+from calibration.report.tables import Html, table
 from calibration.report.text import interval_text, sampled, show_number
 
 
@@ -246,15 +247,9 @@ def _priors(fit: Fit) -> list[str]:
         pair = fit.priors.get(label, fit.priors.get(e.name))
         if pair is not None:
             away = (float(np.mean(e.value)) - pair[0]) / pair[1]
-            rows.append(
-                (
-                    label,
-                    f"{show_number(pair[0])} \N{PLUS-MINUS SIGN} {show_number(pair[1])}",
-                    show_number(e.value),
-                    f"{away:+.2f}",
-                    f"{fit.conflicts[label]:.1f}" if label in fit.conflicts else "",
-                )
-            )
+            prior = f"{show_number(pair[0])} \N{PLUS-MINUS SIGN} {show_number(pair[1])}"
+            apart = f"{fit.conflicts[label]:.1f}" if label in fit.conflicts else ""
+            rows.append((label, prior, show_number(e.value), f"{away:+.2f}", apart))
     head = ("known beforehand", "prior", "value", "away [deviations]", "contradicted by")
     return [table(head, rows)] if rows else []
 
@@ -362,16 +357,3 @@ def _recording_row(r) -> tuple:
         f"{r.selection.start:.3f} .. {r.selection.end:.3f}",
         offset,
     )
-
-
-class Html(str):
-    """Text that is HTML; all other text is escaped where it goes into a table."""
-
-
-def table(head, rows) -> str:
-    """An HTML table; text is escaped."""
-    shown = lambda cell: cell if isinstance(cell, Html) else escape(cell)
-    line = lambda cells, tag: (
-        "<tr>" + "".join(f"<{tag}>{shown(c)}</{tag}>" for c in cells) + "</tr>"
-    )
-    return "<table>" + line(head, "th") + "".join(line(row, "td") for row in rows) + "</table>"
