@@ -96,13 +96,6 @@ def test_reductions(model):
         assert np.linalg.eigvals(small.A).real.max() < 0
 
 
-def test_the_poles_are_those_of_the_modes(model):
-    found = sr.modes(robot(), (TENSION,), count=3, method=METHOD)
-    poles = np.linalg.eigvals(model.reduced(8, by="speed").A)
-    for pole in found.eigenvalues:
-        assert np.min(np.abs(poles - pole)) < 1e-8 * np.abs(pole)
-
-
 def test_a_swing_against_its_closed_form():
     """A cantilever under a force at the tip that swings, without damping: Euler and Bernoulli."""
     r = 2e-4 * L
