@@ -70,26 +70,28 @@ def inverse(
 ) -> InverseSolution:
     """The inputs within `limits` that bring the tip to `target` with the least effort.
 
-        - `target` [m], (3,) or (targets, 3); `quaternion` (w, x, y, z), (4,) or (targets, 4): an
-          attitude that is asked for, too. `of`: "tip", or the name of a marker.
-        - `limits`: for each kind of inputs that may be used, "tensions" [N], "pressures" [Pa] or
-          "pulls" [m], its lowest and its highest values, a number or one for each actuator. Kinds
-          without limits are left out. Where several inputs reach a target, those with the least sum of
-          squares are taken, each in terms of the width of its limits.
-        - `path`: the targets are places along a path; each search starts from the answer before. Else
-          it starts from the nearest of `samples` equilibria under inputs all over the limits and, where
-          that does not lead to the target, from others of them.
-        - `method`: `Collocation(6)` if `None`, on its grid as given; `newton`: of each equilibrium.
-        - `tolerance`: a target counts as reached within this many lengths of the rod and radians.
-        - `throw`: raise `SolveError` where a target is not reached; else see `InverseSolution.result`.
+    - `target` [m], (3,) or (targets, 3); `quaternion` (w, x, y, z), (4,) or (targets, 4): an
+      attitude that is asked for, too. `of`: "tip", or the name of a marker.
+    - `limits`: for each kind of inputs that may be used, "tensions" [N], "pressures" [Pa] or
+      "pulls" [m], its lowest and its highest values, a number or one for each actuator. Kinds
+      without limits are left out. Where several inputs reach a target, those with the least sum of
+      squares are taken, each in terms of the width of its limits.
+    - `path`: the targets are places along a path; each search starts from the answer before. Else
+      it starts from the nearest of `samples` equilibria under inputs all over the limits. Where
+      that does not lead to the target, others of them are tried.
+    - `method`: `Collocation(6)` if `None`, on its grid as given; `newton`: of each equilibrium.
+    - `tolerance`: a target counts as reached within this many lengths of the rod and radians.
+    - `throw`: raise `SolveError` where a target is not reached; else see `InverseSolution.result`.
 
-        All targets are one compiled program. What is found is a local solution: other inputs, far from
-        these, may reach a target with less effort, most of all where the first start did not lead to
-        it, and the nearest point to one that is out of reach may be the nearest only of those around
-        it. What is returned has been solved for once more as `solve_static` does it, from the unloaded
-        rod.
+    All targets are one compiled program. What is found is a local solution: other inputs, far from
+    these, may reach a target with less effort, most of all where the first start did not lead to
+    it, and the nearest point to one that is out of reach may be the nearest only of those around
+    it. What is returned has been solved for once more as `solve_static` does it, from the unloaded
+    rod.
 
-    X no actuators for, and for friction and backlash, whose equilibria depend on the way to them.
+    It has no derivatives, and says so: use `actuation_jacobian` at the answer. Raises `ValueError`
+    for limits or targets of a wrong shape, for limits that a scene has no actuators for, and for
+    friction and backlash, whose equilibria depend on the way to them.
     """
     require_float64("inverse")
     scene = checked_scene("inverse", scene)
