@@ -76,9 +76,9 @@ def inverse(
       "pulls" [m], its lowest and its highest values, a number or one for each actuator. Kinds
       without limits are left out. Where several inputs reach a target, those with the least sum of
       squares are taken, each in terms of the width of its limits.
-    - `path`: the targets are places along a path; each search starts from the answer before.
-      Else from the nearest of `samples` equilibria under
-      inputs all over the limits and, where that does not reach the target, from others.
+    - `path`: the targets are places along a path; each search starts from the answer before. Else
+      it starts from the nearest of `samples` equilibria under inputs all over the limits. Where
+      that does not lead to the target, others of them are tried.
     - `method`: `Collocation(6)` if `None`, on its grid as given; `newton`: of each equilibrium.
     - `tolerance`: a target counts as reached within this many lengths of the rod and radians.
     - `throw`: raise `SolveError` where a target is not reached; else see `InverseSolution.result`.
@@ -89,9 +89,9 @@ def inverse(
     it. What is returned has been solved for once more as `solve_static` does it, from the unloaded
     rod.
 
-    Works under `jit` and `vmap`; it has no derivatives, and says so: use `actuation_jacobian` at
-    the answer. Raises `ValueError` for limits or targets of a wrong shape, for limits that a scene
-    has no actuators for, and for friction and backlash, whose equilibria depend on the way to them.
+    It has no derivatives, and says so: use `actuation_jacobian` at the answer. Raises `ValueError`
+    for limits or targets of a wrong shape, for limits that a scene has no actuators for, and for
+    friction and backlash, whose equilibria depend on the way to them.
     """
     require_float64("inverse")
     scene = checked_scene("inverse", scene)
@@ -143,9 +143,9 @@ def _search(problem: Problem, known: Known, target, quaternion, path: bool):
         def one(state):
             count, best, left, iterations = state
             another = sample(order[jnp.array([0, *others])[count]])
-            start = jax.tree.map(lambda a, b: jnp.where(count == 0, a, b), first, another)
+            x, guess = jax.tree.map(lambda a, b: jnp.where(count == 0, a, b), first, another)
             evaluate = lambda x, guess: problem.evaluate(x, guess, *aim)
-            end = least_effort(evaluate, *start, rest, size, at_once=count > 0)
+            end = least_effort(evaluate, x, guess, rest, size, at_once=count > 0)
             now = jnp.where(end.at.solved, jnp.linalg.norm(end.at.r), jnp.inf)
             nearer = lambda a, b: jnp.where(now < left, a, b)
             best = jax.tree.map(nearer, (end.x, end.at.past), best)

@@ -63,13 +63,12 @@ class LinearModel(eqx.Module):
     def reduced(self, states: int, by: str = "balance") -> "LinearModel":
         """A model of few states with E = 1 and the same static gain. Not under `jit`.
 
-        - `by` "balance": the states that inputs reach and outputs see most; for what is damped.
+        - `by` "balance": the states that inputs reach and outputs see most.
         - `by` "speed": those of the slowest poles; a pair of conjugate ones stays together, with
           `states` or one less. In a rod that creeps back more than it swings, what matters is not
           what is slowest.
 
-        Raises `ValueError` for less than one state, more than there are, or another `by`, and in
-        "balance" where a pole is not damped.
+        Raises `ValueError` for less than one state, more than there are, or another `by`.
         """
         states = whole_number("LinearModel.reduced", "states", states)
         if by not in _REDUCTIONS:

@@ -82,7 +82,7 @@ def modes(
     The other arguments are those of `solve_static`. Actuators hold what is given: the tension of a
     tendon driven by tension, the length of one driven by length (at pull 0 where none is given).
 
-    Works under `jit`, `vmap`, `grad` and `jacfwd` (eigenvalues only, the first derivative only). Of
+    Works under `jit`, `grad` and `jacfwd` (eigenvalues only, the first derivative only). Of
     eigenvalues that coincide, the derivative is right where they go on to coincide, as the two of a
     round rod do when its modulus changes. Raises `ValueError` as `linearise` does, and for a
     `count` below 1 or above what the grid has.

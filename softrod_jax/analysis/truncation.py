@@ -16,8 +16,10 @@ from jaxtyping import Float
 _FAST = 1e4, 1e7
 # Of Hankel singular values, relative to the largest: below is rounding.
 _NOTHING = 1e-13
-# A motion that decays by less than this part in a radian is not damped.
-_UNDAMPED = 1e-10
+# What decays more slowly than this part of the slowest motion is not damped.
+_UNDAMPED = 1e-3
+# Poles that grow and are this many times faster than the slowest one are the grid's.
+_GRID = 100.0
 
 Matrix = Float[np.ndarray, "_ _"]
 
@@ -51,29 +53,21 @@ def balanced(E: Matrix, B: Matrix, C: Matrix, D: Matrix, states: int) -> StateSp
 
     Moore (IEEE Trans. Autom. Control 26, 1981) for the states; those that are left out follow at
     once (Liu & Anderson, Int. J. Control 50, 1989), so that the static gain stays. Inputs and
-    outputs count by their sizes in the static gain. Raises `ValueError` where a pole is not damped.
+    outputs count by their sizes in the static gain. What does not decay is seen through a window
+    that does, of the length of the slowest motion.
     """
-    size = _sizes(E)
-    gaps = np.where(size[1:] < size[0] / _FAST[0], size[:-1] / size[1:], 0.0)
-    k = 1 + int(np.argmax(gaps)) if np.any(gaps) else len(size)
-    limit = np.sqrt(size[k] * size[k - 1]) if k < len(size) else 0.5 * size[-1]
-    whole = _part(E, B, C, D, limit)
+    whole = _part(E, B, C, D, _limit(E))
     poles = np.linalg.eigvals(whole.A)
-    worst = poles[np.argmax(poles.real / np.abs(poles))]
-    if worst.real > -_UNDAMPED * np.abs(worst):
-        raise ValueError(
-            f"the pole {worst:.3g} 1/s is not damped, and what is not damped cannot be balanced: "
-            'give the scene damping, take a stable equilibrium, or by="speed"'
-        )
+    slow, worst = np.min(np.abs(poles)), np.max(poles.real)
+    window = max(0.0, worst + 0.1 * slow) if worst > -_UNDAMPED * slow else 0.0
+    A = whole.A - window * np.eye(len(whole.A))
     gain = np.abs(D - C @ B)
     nonzero = lambda x: np.where(x > 0, x, 1.0)
     of_outputs = nonzero(gain.max(1))
     of_inputs = nonzero((gain / of_outputs[:, None]).max(0))
-    P = scipy.linalg.solve_continuous_lyapunov(
-        whole.A, -(whole.B / of_inputs) @ (whole.B / of_inputs).T
-    )
-    scaled = whole.C / of_outputs[:, None]
-    Q = scipy.linalg.solve_continuous_lyapunov(whole.A.T, -scaled.T @ scaled)
+    inputs, outputs = whole.B / of_inputs, whole.C / of_outputs[:, None]
+    P = scipy.linalg.solve_continuous_lyapunov(A, -inputs @ inputs.T)
+    Q = scipy.linalg.solve_continuous_lyapunov(A.T, -outputs.T @ outputs)
     reach, sight = _root(P), _root(Q)
     U, hankel, Vt = np.linalg.svd(sight.T @ reach)
     count = int(np.sum(hankel > _NOTHING * hankel[0]))
@@ -91,6 +85,21 @@ def balanced(E: Matrix, B: Matrix, C: Matrix, D: Matrix, states: int) -> StateSp
         C[:, :r] - C[:, r:] @ by_slow,
         whole.D - C[:, r:] @ by_input,
     )
+
+
+def _limit(E: Matrix) -> float:
+    """How large an eigenvalue is at least of what is not taken to follow at once."""
+    size = _sizes(E)
+    gaps = np.where(size[1:] < size[0] / _FAST[0], size[:-1] / size[1:], 0.0)
+    # A grid holds no wave that is shorter than its points are apart: such ones may grow.
+    poles = 1 / (mu := np.linalg.eigvals(E))[np.abs(mu) >= size[-1]]
+    grown = np.abs(poles)[(poles.real > 0) & (np.abs(poles) > _GRID * np.min(np.abs(poles)))]
+    if len(grown):
+        allowed = size[1:] > (1 + 1e-9) / np.min(grown)
+        gaps = np.where(allowed & (size[:-1] > (1 + 1e-9) * size[1:]), 1.0, 0.0)
+        gaps = gaps * np.arange(1, len(size))  # the fastest of these
+    k = 1 + int(np.argmax(gaps)) if np.any(gaps) else len(size)
+    return np.sqrt(size[k] * size[k - 1]) if k < len(size) else 0.5 * size[-1]
 
 
 def _sizes(E: Matrix):

@@ -96,13 +96,6 @@ def test_reductions(model):
         assert np.linalg.eigvals(small.A).real.max() < 0
 
 
-def test_the_poles_are_those_of_the_modes(model):
-    found = sr.modes(robot(), (TENSION,), count=3, method=METHOD)
-    poles = np.linalg.eigvals(model.reduced(8, by="speed").A)
-    for pole in found.eigenvalues:
-        assert np.min(np.abs(poles - pole)) < 1e-8 * np.abs(pole)
-
-
 def test_a_swing_against_its_closed_form():
     """A cantilever under a force at the tip that swings, without damping: Euler and Bernoulli."""
     r = 2e-4 * L
@@ -110,7 +103,7 @@ def test_a_swing_against_its_closed_form():
         length=L, section=sr.Circle(r), young_modulus=E, poisson_ratio=0.45, density=RHO,
         inextensible=True, plane="xz",
     )  # fmt: skip
-    model = sr.linearise(slender, inputs="tip_force", method=sr.Collocation(12))
+    model = sr.linearise(slender, inputs="tip_force", method=sr.Collocation(10))
     EI, rho_A = E * np.pi * r**4 / 4, RHO * np.pi * r**2
     omega = np.array([0.5, 2.0, 3.0]) * np.sqrt(EI / rho_A) / L**2 * 3.0
     x = np.sqrt(omega * np.sqrt(rho_A / EI)) * L
@@ -118,13 +111,13 @@ def test_a_swing_against_its_closed_form():
     expected = expected * L**3 / (EI * x**3 * (1 + np.cosh(x) * np.cos(x)))
     found = model.frequency_response(omega)[:, 0, 0]
     np.testing.assert_allclose(found, expected, rtol=1e-5)
-    with pytest.raises(ValueError, match="is not damped"):
-        model.reduced(4)
-    assert model.reduced(4, by="speed").A.shape == (4, 4)
+    for by in ("balance", "speed"):
+        small = model.reduced(8, by).frequency_response(omega[:2])[:, 0, 0]
+        np.testing.assert_allclose(small, expected[:2], rtol=1e-3)
 
 
 def test_tendons_of_given_length():
-    """Tensions follow pulls, and a robot that is held by its tendon is stiffer."""
+    """The tip and the tensions follow pulls."""
     scene = robot("length")
     model = sr.linearise(scene, pulls=(PULL,), outputs=("tip", "tensions"), method=METHOD)
     assert model.inputs == ("p1_Pa", "pull1_m")
@@ -135,9 +128,6 @@ def test_tendons_of_given_length():
     slope = (more.tip_position - less.tip_position) / (2 * d)
     np.testing.assert_allclose(gain[:3], slope, rtol=1e-4, atol=1e-5)
     np.testing.assert_allclose(gain[6], (more.tensions - less.tensions)[0] / (2 * d), rtol=1e-4)
-    held = sr.compliance(scene, pulls=(PULL,), method=METHOD)
-    free = sr.compliance(robot(), model.equilibrium.tensions, method=METHOD)
-    assert held[0, 0] < 0.5 * free[0, 0]
 
 
 def test_compliance_of_a_cantilever():

@@ -9,7 +9,7 @@ from ritz import Ritz
 
 import softrod_jax as sr
 
-METHOD, SMALL = sr.Collocation(16), sr.Collocation(6)
+METHOD, SMALL = sr.Collocation(16), sr.Collocation(8)
 L, R, E, RHO = 0.3, 0.004, 1e6, 1000.0
 EI, RHO_A, RHO_I = E * np.pi * R**4 / 4, RHO * np.pi * R**2, RHO * np.pi * R**4 / 4
 B = 2e-6
@@ -76,24 +76,16 @@ def test_relaxing_cantilever():
         np.testing.assert_allclose(pole, roots[np.argmax(roots.imag)], rtol=1e-6)
 
 
-def test_a_rod_in_space_has_the_modes_of_both_planes():
-    case = CASES["bent"]
-    expected = Ritz(L, EI, RHO_A, RHO_I, B, **case).poles(2)
-    found = sr.modes(scene_of(**case, plane=None), count=4, method=SMALL)
-    assert np.all(np.diff(np.abs(found.eigenvalues)) >= 0)
-    across = np.max(np.abs(found.shapes[:, :, 1]), axis=1) > 0.5
-    np.testing.assert_allclose(found.eigenvalues[~across], expected, rtol=1e-4)
-    np.testing.assert_allclose(found.shapes[~across, :, 1], 0.0, atol=1e-9)
-
-
 def test_poles_that_coincide_have_derivatives():
     """Of a round rod in space all are double; without damping, omega goes with the root of E."""
 
     def of_modulus(E):
-        round_rod = scene_of(plane=None, bending_damping=0.0, young_modulus=E)
+        round_rod = rod(None, bending_damping=None, young_modulus=E)
         return sr.modes(round_rod, count=4, method=SMALL).frequencies
 
     values, slopes = of_modulus(E), jax.jacfwd(of_modulus)(E)
+    expected = np.abs(Ritz(L, EI, RHO_A, RHO_I).poles(2)) / (2 * np.pi)
+    np.testing.assert_allclose(values, np.repeat(expected, 2), rtol=1e-5)
     np.testing.assert_allclose(values[::2], values[1::2], rtol=1e-9)
     np.testing.assert_allclose(slopes, 0.5 * values / E, rtol=1e-7)
 
@@ -118,15 +110,14 @@ def frequencies(z):
     return jnp.concatenate([found.frequencies, found.damping_ratios])
 
 
-def test_gradients_forward_reverse_and_differences():
+def test_gradients_are_the_slopes():
     f, one, d = frequencies, jnp.ones(3), 1e-3
-    forward, reverse = jax.jacfwd(f)(one), jax.jacrev(f)(one)
-    np.testing.assert_allclose(forward, reverse, rtol=1e-8, atol=1e-12)
+    reverse = jax.jacrev(f)(one)
     for i in range(3):
         e = jnp.zeros(3).at[i].set(d)
         slope = (8 * (f(one + e) - f(one - e)) - (f(one + 2 * e) - f(one - 2 * e))) / (12 * d)
-        size = np.abs(forward[:, i]).max()
-        np.testing.assert_allclose(forward[:, i], slope, rtol=1e-6, atol=1e-8 * size)
+        size = np.abs(reverse[:, i]).max()
+        np.testing.assert_allclose(reverse[:, i], slope, rtol=1e-6, atol=1e-8 * size)
 
 
 @pytest.mark.parametrize(
