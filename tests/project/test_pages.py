@@ -15,11 +15,14 @@ ROOT = Path(__file__).parents[2]
 PAGES = ROOT / "docs" / "pages"
 # How many blocks of each page run; no other page has code. A new page with code is added here.
 RUN = {
+    "analysis.md": 3,
     "calibration.md": 1,
     "command-line.md": 5,
+    "contact.md": 1,
     "learning.md": 1,
     "python.md": 2,
     "scene-file.md": 1,
+    "see-and-touch.md": 1,
     "settings.md": 1,
     "tasks/catheter.md": 2,
     "tasks/closed-loop.md": 2,
@@ -34,7 +37,7 @@ def folder(tmp_path, monkeypatch):
     """The current directory; JAX's cache stays as the tests have it."""
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(common, "prepare_jax", lambda: None)
-    for command in ("solve", "simulate", "plot", "calibrate", "doctor"):
+    for command in ("solve", "simulate", "plot", "calibrate", "doctor", "modes"):
         monkeypatch.setattr(f"calibration.cli.{command}.prepare_jax", lambda: None)
     return tmp_path
 
