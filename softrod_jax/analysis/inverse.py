@@ -66,6 +66,7 @@ def inverse(
     newton: NewtonOptions = NewtonOptions(),
     tolerance: float = 1e-5,
     samples: int = 256,
+    starts: int = 13,
     throw: bool = True,
 ) -> InverseSolution:
     """The inputs within `limits` that bring the tip to `target` with the least effort.
@@ -78,7 +79,7 @@ def inverse(
       squares are taken, each in terms of the width of its limits.
     - `path`: the targets are places along a path; each search starts from the answer before. Else
       it starts from the nearest of `samples` equilibria under inputs all over the limits. Where
-      that does not lead to the target, others of them are tried.
+      that does not lead to the target, others of them are tried, `starts` in all (13 at most).
     - `method`: `Collocation(6)` if `None`, on its grid as given; `newton`: of each equilibrium.
     - `tolerance`: a target counts as reached within this many lengths of the rod and radians.
     - `throw`: raise `SolveError` where a target is not reached; else see `InverseSolution.result`.
@@ -102,6 +103,7 @@ def inverse(
         raise ValueError(f"inverse: of={of!r} is not a marker of this scene; use one of {places}")
     target, quaternion = _checked_target(target, quaternion)
     samples = whole_number("inverse", "samples", samples)
+    starts = whole_number("inverse", "starts", starts)
     method = (Collocation(6) if method is None else method).fitted(scene)
     one = target.ndim == 1
     if one:
@@ -110,7 +112,7 @@ def inverse(
     without_derivatives((scene, low, high, target, quaternion))
     problem = Problem(scene, low, high, jnp.asarray(tolerance, dtype=float), of, method, newton)
     known = problem.solved(jnp.asarray(_spread_out(samples, problem.rest.shape[0])))
-    x, iterations = _search(problem, known, target, quaternion, path)
+    x, iterations = _search(problem, known, target, quaternion, path, starts)
     found = _answers(problem, x, iterations, target, quaternion, samples)
     if one:
         found = jax.tree.map(lambda x: x[0], found)
@@ -120,7 +122,7 @@ def inverse(
 
 
 @compiled
-def _search(problem: Problem, known: Known, target, quaternion, path: bool):
+def _search(problem: Problem, known: Known, target, quaternion, path: bool, starts: int):
     """Where the search for each target ends, in parts of the limits, and its iterations."""
     rest = problem.rest
 
@@ -151,7 +153,7 @@ def _search(problem: Problem, known: Known, target, quaternion, path: bool):
             best = jax.tree.map(nearer, (end.x, end.at.past), best)
             return count + 1, best, jnp.minimum(left, now), iterations + end.iterations
 
-        others = [k for k in _OTHERS if k < known.x.shape[0]]
+        others = [k for k in _OTHERS if k < known.x.shape[0]][: starts - 1]
         none = jnp.zeros((), jnp.int32)
         start = (none, first, jnp.array(jnp.inf), none)
         _, best, _, iterations = jax.lax.while_loop(unreached, one, start)
