@@ -41,5 +41,11 @@ NAMES = {
     "gravity_tilt": "of gravity; _x, _y, _z",
     "clamp_rotation": "of the clamp; _x, _y, _z",
     "clamp_shift": "of the clamp; _x, _y, _z",
+    "camera_rotation": "of what is seen; _x, _y, _z",
+    "camera_shift": "of what is seen; _x, _y, _z",
+    "tension_lag": "of servos behind commands",
+    "pressure_lag": "of valves behind commands",
+    "pull_lag": "of servos behind commands",
+    "pressure_gain": "of a thrust that grows; _1, _2",
     "release_duration": "how long a hand lets go",
 }
