@@ -36,6 +36,9 @@ class Setup(eqx.Module):
     - `camera_rotation` [rad], (3,), and `camera_shift` [m], (3,): how what is seen is turned about
       the origin and moved, by cameras whose frame is not the scene's. Unlike a clamp that is turned
       they see gravity turned, too.
+
+    Raises `ValueError` for a scene whose base or obstacles are carried: recordings do not say
+    where.
     """
 
     scene: sr.Scene
@@ -54,6 +57,16 @@ class Setup(eqx.Module):
     clamp_shift: Float[Array, "3"] | None = None
     camera_rotation: Float[Array, "3"] | None = None
     camera_shift: Float[Array, "3"] | None = None
+
+    def __check_init__(self):
+        moving = [i for i, x in enumerate(self.scene.contacts or ()) if x.moves]
+        carried = ["base.moves"] if self.scene.base_moves else []
+        carried += [f"contacts[{i}].moves" for i in moving]
+        if carried:
+            raise ValueError(
+                f"{carried[0]} = true: a fit knows nothing that is carried; leave it out where it "
+                "stands still in the recordings"
+            )
 
     def simulated_scene(self) -> sr.Scene:
         """The scene with gravity and clamp as they are in this experiment."""
