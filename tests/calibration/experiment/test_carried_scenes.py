@@ -13,7 +13,7 @@ from softrod_jax.scene.inputs import Inputs
 
 WALL = sr.Contact(sr.Plane([0.0, 0.0, 0.1], [0.0, 0.0, -1.0]), 1e4, moves=True)
 SCENES = {
-    "base.moves": dataclasses.replace(sr.hybrid_robot(), base_moves=True),
+    r"base\.moves": dataclasses.replace(sr.hybrid_robot(), base_moves=True),
     r"contacts\[0\].moves": dataclasses.replace(sr.hybrid_robot(), contacts=(WALL,)),
 }
 
@@ -31,4 +31,4 @@ def test_motions(key):
 def test_postures(key):
     rows = Postures(Inputs(np.zeros((2, 3)), np.zeros((2, 1))), {"tip": np.zeros((2, 3))})
     with pytest.raises(ValueError, match=f"{key} = true: a fit knows nothing that is carried"):
-        calibrate_postures(SCENES[key], rows)
+        calibrate_postures(SCENES[key], rows, fit=("young_modulus",))
