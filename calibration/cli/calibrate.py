@@ -7,6 +7,7 @@ beside LOG whose name is LOG's with .map.toml in place of its ending is used for
 
 import argparse
 import contextlib
+import shlex
 import sys
 from dataclasses import replace
 from pathlib import Path
@@ -296,6 +297,7 @@ def run(args) -> int:
         print((out / "parameters.json").read_text(encoding="utf-8"))
     else:
         print(f"\n{summary(fit)}\nparameters, report and plots are in {out}")
+        print(f"next: softrod film {shlex.quote(str(out))}")
     if fit.result == "interrupted":
         note(_RESUME)
     return 0

@@ -2,16 +2,17 @@
 
 # ruff: noqa: F811 - pytest knows fixtures by their names
 
+import json
 import tomllib
 from pathlib import Path
 
 import numpy as np
 import pytest
-from beams import FIT, RELEASE, TRUTH, beam, release
+from beams import FIT, TRUTH, beam, release
 from command_line import asked, in_a_directory_of_its_own, run  # noqa: F401
 
 import softrod_jax as sr
-from calibration import calibrate, load_recording
+from calibration import load_recording
 from calibration.cli import importing
 
 # A German data logger: Latin-1, semicolons, decimal commas, a line before the header.
@@ -35,8 +36,8 @@ def driven(rows=40, size=1e3, turn=np.eye(3)):
     return np.column_stack([1e3 * t, 0.1 * ramp, 0 * t, 0 * t, 20 * ramp, size * tip])
 
 
-def test_an_own_file_goes_through_import_and_a_fit(capsys):
-    """In mm, with decimal commas and semicolons, in Latin-1."""
+def test_an_own_file_goes_through_import_a_fit_and_a_film(capsys):
+    """In mm, with decimal commas and semicolons, in Latin-1; each command names what follows."""
     truth = release(beam())
     sr.save_scene(beam(young_modulus=2.3e5, bending_damping=1e-4), "beam.toml")
     rows = np.column_stack([1e3 * truth.times, 1e3 * truth.tip_positions])
@@ -51,9 +52,13 @@ def test_an_own_file_goes_through_import_and_a_fit(capsys):
     log = load_recording("größe.csv", scene)  # by the mapping beside it
     np.testing.assert_allclose(log.times, truth.times, atol=1e-8)
     np.testing.assert_allclose(log.tip_positions, truth.tip_positions, atol=1e-8)
-    found = calibrate(scene, [log], fit=tuple(TRUTH), checks=False, progress=False, **FIT)
-    assert found.parameters["young_modulus"].value == pytest.approx(2.9e5, rel=0.01)
-    assert found.time_offset_s[log.name] == pytest.approx(RELEASE, abs=2e-3)
+    fit = f"--fit {','.join(TRUTH)} --dt {FIT['dt']} --intervals 4 --no-checks --out fitted"
+    status, out, _ = run(capsys, "calibrate", "beam.toml", "größe.csv", *fit.split())
+    assert status == 0 and "softrod film fitted" in out
+    found = json.loads(Path("fitted/parameters.json").read_text("utf-8"))
+    assert found["parameters"]["young_modulus"]["value"] == pytest.approx(2.9e5, rel=0.01)
+    status, out, err = run(capsys, "film", "fitted", "--out", "film.html")
+    assert (status, err) == (0, "") and Path("film.html").stat().st_size > 30_000
 
 
 def test_what_it_reads_is_what_plot_and_simulate_read(capsys, asked):
