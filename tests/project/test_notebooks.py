@@ -23,7 +23,7 @@ TURNS = 3
 
 
 def turn():
-    """Whose turn it is at this commit: one of `TURNS` numbers; `None`, all, where there is no git."""
+    """Whose turn it is at this commit, below `TURNS`; `None`, all, where there is no git."""
     if os.environ.get("NOTEBOOKS") == "all":
         return None
     asked = ["git", "rev-parse", "HEAD"]
