@@ -100,7 +100,7 @@ def nuts(
     Raises `ImportError` that says what to install.
     """
     try:
-        import blackjax
+        import blackjax  # pyright: ignore[reportMissingImports]  # an extra
     except ImportError:
         raise ImportError(
             "draws of the posterior by NUTS need blackjax: pip install 'softrod_jax[posterior]'"
