@@ -1,6 +1,7 @@
 """Write a scene file to start from, commented: an own robot is one of these with its numbers.
 
 robot      three tendons and an air chamber, hanging
+finger     silicone and fibres, an air chamber beside the axis
 tentacle   cast silicone that tapers, four tendons, a marker half way
 needle     steel, bent at its tip, with a force on it
 catheter   a stiff shaft and a soft bending section, one tendon
@@ -12,7 +13,7 @@ from pathlib import Path
 
 from calibration.cli.common import UsageError, check_writable
 
-TEMPLATES = ("robot", "tentacle", "needle", "catheter", "servos")
+TEMPLATES = ("robot", "finger", "tentacle", "needle", "catheter", "servos")
 
 
 def add_arguments(parser) -> None:

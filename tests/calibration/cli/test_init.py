@@ -39,6 +39,20 @@ def test_a_needle_without_its_force_is_the_arc_that_it_was_bent_to(capsys):
     np.testing.assert_allclose(tip, expected, rtol=0, atol=1e-7)
 
 
+def test_a_finger_is_the_arc_that_its_pressure_bends(capsys):
+    """By P A x / E I, away from the chamber, as far as that goes; and straight beyond."""
+    run(capsys, "init", "finger")
+    text = Path("finger.toml").read_text().replace("9.81]", "0.0]")
+    Path("finger.toml").write_text(text)
+    scene, P = sr.load_scene("finger.toml"), 3e4
+    tip = sr.solve_static(scene, pressures=[P], method=sr.Collocation(4)).tip_position
+    u = P * 6e-5 * 4e-3 / (3e5 * np.pi * 8e-3**4 / 4)
+    angle = 0.09 * u
+    expected = [-(1 - np.cos(angle)) / u - 0.01 * np.sin(angle), 0.0]
+    expected += [np.sin(angle) / u + 0.01 * np.cos(angle)]
+    np.testing.assert_allclose(tip, expected, rtol=0, atol=1e-7)
+
+
 def test_nothing_is_overwritten_silently(capsys):
     Path("robot.toml").write_text("mine")
     status, out, err = run(capsys, "init")
