@@ -200,15 +200,7 @@ def simulate(
             limit=float(limit),
         )
     else:
-        if traced:
-            raise ValueError(
-                f"simulate: tolerance={tolerance} under jit, vmap or grad; simulate a typical "
-                'motion with it first, and give as many substeps as its stats["substeps"] says'
-            )
-        if not 0 < tolerance < 1:
-            raise ValueError(
-                f"simulate: tolerance={tolerance}; a part of the rod's length in (0, 1) is needed"
-            )
+        _check_tolerance(tolerance, traced)
         trajectory = run_within(
             functools.partial(run, limit=jnp.array(jnp.inf)),
             make_rod(scene),
@@ -223,6 +215,18 @@ def simulate(
         hint = "" if traced else advice(trajectory, float(dt), float(limit))
         trajectory = raise_unless_successful(trajectory.result, trajectory, "simulate", hint)
     return trajectory
+
+
+def _check_tolerance(tolerance, traced: bool) -> None:
+    if traced:
+        raise ValueError(
+            f"simulate: tolerance={tolerance} under jit, vmap or grad; simulate a typical "
+            'motion with it first, and give as many substeps as its stats["substeps"] says'
+        )
+    if not 0 < tolerance < 1:
+        raise ValueError(
+            f"simulate: tolerance={tolerance}; a part of the rod's length in (0, 1) is needed"
+        )
 
 
 def _count_steps(steps, inputs: Inputs, poses: Poses) -> int:

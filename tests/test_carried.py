@@ -221,14 +221,17 @@ def test_a_lane_without_a_pose_leaves_the_others_alone():
 
 
 def test_in_a_plane_it_moves_as_in_space():
-    dt, steps = 5e-3, 12
-    angle = 0.3 * np.sin(6 * times(dt, steps)) ** 2
+    """Also where the clamp turns by more than a whole turn."""
+    # The grid has an error in a quaternion along the rod, of order 6, and none in an angle.
+    dt, steps, fine = 5e-3, 24, sr.Collocation(16)
+    x = np.arange(1, steps + 1) / steps
+    angle = 7.0 * x**2
     base = rows(steps, x=1e-2 * angle, qw=np.cos(angle / 2), qy=np.sin(angle / 2))
     own = dict(gravity=np.array([-G, 0.0, 0.0]))
-    flat = sr.simulate(rod(**own, plane="xz"), dt, base=base, method=METHOD)
+    flat = sr.simulate(rod(**own, plane="xz"), dt, base=base, method=fine)
     pair = base[:, :3], base[:, 3:]
-    space = sr.simulate(rod(**own), dt, base=pair, method=METHOD)
-    np.testing.assert_allclose(flat.tip_positions, space.tip_positions, rtol=0, atol=1e-9)
+    space = sr.simulate(rod(**own), dt, base=pair, method=fine)
+    np.testing.assert_allclose(flat.tip_positions, space.tip_positions, rtol=0, atol=2e-9)
 
 
 BAD = {

@@ -52,6 +52,7 @@ def _count(text: str) -> int:
 
 def add_arguments(parser) -> None:
     _add_what(parser)
+    _add_postures(parser.add_argument_group("postures instead of motions"))
     _add_search(parser.add_argument_group("search and checks"))
     _add_data(parser.add_argument_group("data"))
     _add_c3d(parser.add_argument_group("C3D files without a mapping"))
@@ -89,12 +90,6 @@ def _add_what(parser) -> None:
         "--held-out", metavar="LOG", nargs="+", help="recordings to predict and not to fit"
     )
     parser.add_argument(
-        "--postures",
-        metavar="LOG",
-        nargs="*",
-        help="logs of which each row is an equilibrium, not a moment of a motion",
-    )
-    parser.add_argument(
         "--prior",
         metavar="NAME=MEAN:SPREAD",
         nargs="+",
@@ -106,20 +101,6 @@ def _add_what(parser) -> None:
         help="what another fit found, such as one to postures, of what is fitted here, as priors",
     )
     parser.add_argument(
-        "--folds",
-        type=_count,
-        metavar="N",
-        help="with --postures: keep trials aside in N parts, one after the other, and predict them",
-    )
-    parser.add_argument(
-        "--posterior",
-        choices=("laplace", "nuts"),
-        help="with --postures: draws of the posterior, by Laplace's approximation or by NUTS",
-    )
-    parser.add_argument(
-        "--draws", type=_count, metavar="N", help="with --posterior: how many draws (1000)"
-    )
-    parser.add_argument(
         "--out",
         default=_DEFAULT_OUT,
         metavar="DIR",
@@ -128,6 +109,30 @@ def _add_what(parser) -> None:
     parser.add_argument("--json", action="store_true", help="parameters.json on stdout as well")
     parser.add_argument(
         "--resume", action="store_true", help="go on with an interrupted fit in DIR"
+    )
+
+
+def _add_postures(postures) -> None:
+    """Equilibria instead of motions."""
+    postures.add_argument(
+        "--postures",
+        metavar="LOG",
+        nargs="*",
+        help="logs of which each row is an equilibrium, not a moment of a motion",
+    )
+    postures.add_argument(
+        "--folds",
+        type=_count,
+        metavar="N",
+        help="keep trials aside in N parts, one after the other, and predict them",
+    )
+    postures.add_argument(
+        "--posterior",
+        choices=("laplace", "nuts"),
+        help="draws of the posterior, by Laplace's approximation or by NUTS",
+    )
+    postures.add_argument(
+        "--draws", type=_count, metavar="N", help="with --posterior: how many draws (1000)"
     )
 
 
@@ -265,18 +270,8 @@ def run(args) -> int:
     except ImportError as e:
         raise UsageError(f"{e}: pip install 'softrod_jax[calibration]'") from None
 
-    from calibration.data.trials import files_of
-
     scene = sr.load_scene(scene_path)
-    held_out_paths = args.held_out or []
-    log_paths, held_out_paths = files_of(log_paths), files_of(held_out_paths)
-    each = _recordings(args, [*log_paths, *held_out_paths], scene)
-    read = _conditioned([r for own in each for r in own], args.condition or ())
-    fitted = sum(map(len, each[: len(log_paths)]))
-    recordings, held_out = (_cut(args, part) for part in (read[:fitted], read[fitted:]))
-    for recording in [*recordings, *held_out]:
-        for assumption in recording.notes:
-            note(f"{recording.name}: {assumption}")
+    recordings, held_out = _fitted_and_held_out(args, log_paths, scene)
     out.mkdir(parents=True, exist_ok=True)
     with alone_in(out):
         picture = write_data_plot([*recordings, *held_out], None, out / "data.png")
@@ -301,6 +296,20 @@ def run(args) -> int:
     if fit.result == "interrupted":
         note(_RESUME)
     return 0
+
+
+def _fitted_and_held_out(args, log_paths, scene):
+    """The recordings that are fitted and those that are predicted, with notes on them."""
+    from calibration.data.trials import files_of
+
+    log_paths, held_out_paths = files_of(log_paths), files_of(args.held_out or [])
+    each = _recordings(args, [*log_paths, *held_out_paths], scene)
+    read = _conditioned([r for own in each for r in own], args.condition or ())
+    for recording in read:
+        for assumption in recording.notes:
+            note(f"{recording.name}: {assumption}")
+    fitted = sum(map(len, each[: len(log_paths)]))
+    return tuple(_cut(args, part) for part in (read[:fitted], read[fitted:]))
 
 
 def _fitted(args, scene, recordings, held_out, out: Path):

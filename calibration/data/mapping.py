@@ -186,27 +186,17 @@ def _without_tip(mapping, inputs):
 def _tip(table: Table, spec: Spec, part: Spec, clock: TimeColumn, scene):
     own = part.table("time", required=False)
     clock = TimeColumn(table, own) if own.content else clock
-    columns = part.texts("columns", 3, required=False)
-    markers = part.get("markers", list, "a list of lists of 3 column names", None, False)
-    if (columns is None) == (markers is None):
-        raise RecordingError(f"{part.where}columns or {part.where}markers: one of them is needed")
+    key, triples = _triples(part)
     missing = part.scalars("missing")
     turn = axes_matrix(part.text("axes", "x,y,z"), part.where)
     origin, rest = part.vector("origin", required=False), part.flag("rest")
-    positions = _positions(part, markers)
+    positions = _positions(part, triples if key.endswith("markers") else None)
     if origin is not None and rest:
         raise RecordingError(f"{part.where}origin and {part.where}rest: one of them is too much")
     if rest and scene is None:
         raise RecordingError(
             f"{part.where}rest = true: puts the rest at the scene's straight tip: give the scene"
         )
-    triples = [columns] if columns is not None else markers or [[]]
-    for names in triples:
-        if not (isinstance(names, list) and len(names) == 3 and all(
-            isinstance(name, str) for name in names
-        ) and any(names)):  # fmt: skip
-            raise part.wrong("markers", names, "3 column names, at least one not empty")
-    key = f"{part.where}{'columns' if columns is not None else 'markers'}"
     found = [[table.find(name, "tip", key) if name else "" for name in names] for names in triples]
     unit = factor(table, part, "length", [name for names in found for name in names if name])
     part.done()
@@ -251,6 +241,20 @@ def _tip(table: Table, spec: Spec, part: Spec, clock: TimeColumn, scene):
         now=now,
     )
     return tip, at[there], notes, placed_by, source
+
+
+def _triples(part: Spec) -> tuple[str, list[list[str]]]:
+    """The key that names the tip's columns, and those of each marker, 3 each."""
+    columns = part.texts("columns", 3, required=False)
+    markers = part.get("markers", list, "a list of lists of 3 column names", None, False)
+    if (columns is None) == (markers is None):
+        raise RecordingError(f"{part.where}columns or {part.where}markers: one of them is needed")
+    triples = [columns] if columns is not None else markers or [[]]
+    text = lambda names: isinstance(names, list) and all(isinstance(x, str) for x in names)
+    for names in triples:
+        if not (text(names) and len(names) == 3 and any(names)):
+            raise part.wrong("markers", names, "3 column names, at least one not empty")
+    return f"{part.where}{'columns' if columns is not None else 'markers'}", triples
 
 
 def _positions(part: Spec, markers) -> np.ndarray | None:

@@ -67,7 +67,7 @@ def make_rod(
     gravity, load = vector_in(plane, scene.gravity), scene.tip_load
     loads = _distributed_loads(scene, around)
     clamp = clamp_pose(scene) if around.base is None else around.base[:2]
-    one, own = jnp.ones(()), (scene.energies, loads)
+    one, own, damping = jnp.ones(()), (scene.energies, loads), moving(scene.dissipations)
     material, fibres = _law_for_ever(scene, body)
     rod = Rod(
         grid=grid,
@@ -99,11 +99,11 @@ def make_rod(
         fibres=fibres,
         relaxation=body.relaxation,
         material=material,
-        dissipations=moving(scene.dissipations),
+        dissipations=damping,
         energies=scene.energies,
         distributed_loads=loads,
         load_factor=None if own == (None, None) else one,
-        s=None if all(x is None for x in (material, scene.dissipations, *own)) else grid.s,
+        s=None if all(x is None for x in (material, damping, *own)) else grid.s,
         radius=None if scene.contacts is None else radius_along(scene, grid),
         plane=plane,
     )

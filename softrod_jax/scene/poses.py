@@ -13,8 +13,6 @@ from softrod_jax.scene.contacts import contact_names
 from softrod_jax.scene.planes import turns_off, vectors_off
 from softrod_jax.scene.scene import Scene
 
-# Position [m] and quaternion (w, x, y, z), in the columns of a log.
-COLUMNS = "x_m", "y_m", "z_m", "qw", "qx", "qy", "qz"
 PosesLike = RowsLike | tuple[RowsLike, RowsLike]
 # What cameras and robots give is of length one as well as this; it is made so.
 _ABOUT_ONE = 0.01
@@ -58,7 +56,7 @@ def _checked(who, scene, name, given):
         rows = _in_rows(given)
     except (TypeError, ValueError):
         raise ValueError(f"{who}: {name} = {given!r} is not an array of numbers") from None
-    if rows.ndim != 2 or rows.shape[-1] != len(COLUMNS):
+    if rows.ndim != 2 or rows.shape[-1] != 7:
         raise ValueError(
             f"{who}: {name} has shape {rows.shape}; (steps, 7) is needed: position [m] and "
             "quaternion (w, x, y, z)"

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from beams import FIT, TRUTH, beam, release
+from beams import FIT, RELEASE, TRUTH, beam, release
 from command_line import asked, in_a_directory_of_its_own, run  # noqa: F401
 
 import softrod_jax as sr
@@ -57,6 +57,7 @@ def test_an_own_file_goes_through_import_a_fit_and_a_film(capsys):
     assert status == 0 and "softrod film fitted" in out
     found = json.loads(Path("fitted/parameters.json").read_text("utf-8"))
     assert found["parameters"]["young_modulus"]["value"] == pytest.approx(2.9e5, rel=0.01)
+    assert found["time_offset_s"]["größe"] == pytest.approx(RELEASE, abs=2e-3)
     status, out, err = run(capsys, "film", "fitted", "--out", "film.html")
     assert (status, err) == (0, "") and Path("film.html").stat().st_size > 30_000
 
