@@ -169,6 +169,13 @@ def test_what_is_written_again_does_the_same(name):
     np.testing.assert_allclose(moving[0][0], moving[1][0], rtol=0, atol=1e-8)
 
 
+def test_damping_written_again_has_the_same_modes():
+    own, built_in = (as_arrays(dataclasses.replace(x, tendons=None)) for x in PAIRS["damping"])
+    found = [sr.modes(x, method=METHOD, count=4).eigenvalues for x in (own, built_in)]
+    assert np.min(np.abs(found[1].real)) > 1e-3
+    np.testing.assert_allclose(found[0], found[1], rtol=1e-8)
+
+
 def test_damping_that_grows_with_the_rate_takes_energy_and_has_derivatives():
     """A rod that is let go: with such damping its highest swings are lost first, never gained."""
     undamped = dict(gravity=ACROSS, bending_damping=None)

@@ -153,25 +153,8 @@ class Part(AbstractEnergy):
         return self.part * self.whole.density(v, u, s)
 
 
-class AbstractPointwise(AbstractTerm):
-    """A term that is a function at each point, by automatic differentiation."""
-
-    @abc.abstractmethod
-    def _each(self, derived, shape: str, x: Strain):
-        """Of each point what `derived` makes of its function, an array of this shape."""
-
-    def value(self, x):
-        return self._each(lambda f: f, "()", x)
-
-    def gradient(self, x):
-        return self._each(jax.grad, "(n)", x)
-
-    def hessian(self, x):
-        return self._each(jax.hessian, "(n,n)", x)
-
-
-class Density(AbstractPointwise):
-    """`factor` times an energy of a user.
+class Density(AbstractTerm):
+    """`factor` times an energy of a user, by automatic differentiation.
 
     `s` [m], (points,); `v` (3,) where it is given and x = u; `radius` [m]: see `reach`.
     """
@@ -192,12 +175,21 @@ class Density(AbstractPointwise):
         W = self.energy.density(strain[:3], strain[3:], s)
         return W if self.factor is None else self.factor * W
 
-    def _each(self, derived, shape, x):
-        v, f = jnp.zeros(0) if self.v is None else self.v, derived(self._at_point)
-        return jnp.vectorize(f, signature=f"(n),(m),()->{shape}")(x, v, self.s)
+    def _each(self, function, shape: str, x):
+        v = jnp.zeros(0) if self.v is None else self.v
+        return jnp.vectorize(function, signature=f"(n),(m),()->{shape}")(x, v, self.s)
+
+    def value(self, x):
+        return self._each(self._at_point, "()", x)
+
+    def gradient(self, x):
+        return self._each(jax.grad(self._at_point), "(n)", x)
+
+    def hessian(self, x):
+        return self._each(jax.hessian(self._at_point), "(n,n)", x)
 
 
-class Dissipated(AbstractPointwise):
+class Dissipated(AbstractTerm):
     """Psi(x_t) / c0 with x_t = c0 x + x_h: its derivative by x is that of Psi by the rates.
 
     `s` [m], (points,); `x_h` as x; `radius` [m]: see `reach`. Where `stretches` is not so, x = u.
@@ -215,16 +207,28 @@ class Dissipated(AbstractPointwise):
     def reach(self) -> Float[Array, ""]:
         return self.radius
 
-    def _at_point(self, x, x_h, s):
-        rate = self.c0 * x + x_h
+    def _at_point(self, rate, s):
         if not self.stretches:
             rate = jnp.concatenate([jnp.zeros(3 if self.plane is None else 2), rate])
         rate = in_space(rate, self.plane)
-        return self.dissipation.potential(rate[:3], rate[3:], s) / self.c0
+        return self.dissipation.potential(rate[:3], rate[3:], s)
 
-    def _each(self, derived, shape, x):
-        f = derived(self._at_point)
-        return jnp.vectorize(f, signature=f"(n),(n),()->{shape}")(x, self.x_h, self.s)
+    def _each(self, function, shape: str, x):
+        rate = self.c0 * x + self.x_h
+        return jnp.vectorize(function, signature=f"(n),()->{shape}")(rate, self.s)
+
+    def value(self, x):
+        # Where c0 is zero, rates are given and the rod can do nothing about them.
+        there = self.c0 != 0
+        return jnp.where(
+            there, self._each(self._at_point, "()", x) / jnp.where(there, self.c0, 1.0), 0.0
+        )
+
+    def gradient(self, x):
+        return self._each(jax.grad(self._at_point), "(n)", x)
+
+    def hessian(self, x):
+        return self.c0 * self._each(jax.hessian(self._at_point), "(n,n)", x)
 
 
 def stiffness_at_rest(energy: AbstractEnergy, v: Float[Array, "3"], u: Float[Array, "3"]):
