@@ -7,12 +7,17 @@ import sys
 import zlib
 from pathlib import Path
 
-# XLA's newer code generator for CPUs compiles these programs in twice the time, and they run no
-# faster; LLVM's optimisations take half of what is left, and most programs run for milliseconds.
-# A flag that is set already stays: with XLA_FLAGS=--xla_backend_optimization_level=3, the tests
-# run what users run. XLA aborts on a flag that it does not know, so a process of its own tries
-# them first.
-_FLAGS = "--xla_cpu_use_fusion_emitters=false", "--xla_backend_optimization_level=0"
+# The first two are those of users (softrod_jax/foundation/compiling.py). LLVM's optimisations take
+# half of what is left, and most programs run for milliseconds; and a program that is cut in parts,
+# to be compiled side by side, takes longer where every core has its own tests. A flag that is set
+# already stays: with XLA_FLAGS=--xla_backend_optimization_level=3, the tests run what users run.
+# XLA aborts on a flag that it does not know, so a process of its own tries them first.
+_FLAGS = (
+    "--xla_cpu_use_fusion_emitters=false",
+    "--xla_disable_hlo_passes=while-loop-invariant-code-motion",
+    "--xla_backend_optimization_level=0",
+    "--xla_cpu_parallel_codegen_split_count=1",
+)
 if "PYTEST_XDIST_WORKER" not in os.environ:
     given = os.environ.get("XLA_FLAGS", "")
     flags = " ".join([given, *(f for f in _FLAGS if f.partition("=")[0] not in given)]).strip()
