@@ -20,7 +20,7 @@ from softrod_jax.foundation.results import RESULTS, raise_unless_successful, wit
 from softrod_jax.foundation.tracing import is_traced
 from softrod_jax.rod.given_lengths import tensions_of
 from softrod_jax.rod.markers import seen
-from softrod_jax.rod.reduction import clamp_pose, make_rod
+from softrod_jax.rod.reduction import clamp_pose
 from softrod_jax.rod.rotations import to_base
 from softrod_jax.rod.validity import usable_in_time
 from softrod_jax.scene.checks import checked_scene
@@ -190,7 +190,7 @@ def simulate(
     elif tolerance is None:
         trajectory = run_checked(
             run,
-            make_rod(scene),
+            scene,
             float(dt),
             scheme,
             method,
@@ -202,8 +202,8 @@ def simulate(
     else:
         _check_tolerance(tolerance, traced)
         trajectory = run_within(
-            functools.partial(run, limit=jnp.array(jnp.inf)),
-            make_rod(scene),
+            functools.partial(run, limit=jnp.array(jnp.inf, dtype=float)),
+            scene,
             float(dt),
             scheme,
             method,

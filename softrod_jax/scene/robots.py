@@ -1,6 +1,6 @@
 """Ready-made robots."""
 
-import jax.numpy as jnp
+import numpy as np
 
 from softrod_jax.foundation.numbers import ScalarLike, VectorLike
 from softrod_jax.scene.chambers import Chambers
@@ -16,7 +16,7 @@ def hybrid_robot(length: ScalarLike = 0.1, gravity: VectorLike | None = None) ->
     diameter, a solid circle of radius 6 mm. The table gives no length: 0.1 m is an
     assumption. `gravity` [m/s^2], (3,), is absent unless given.
     """
-    angle = jnp.deg2rad(jnp.array([0.0, 120.0, 240.0]))
+    angle = np.deg2rad([0.0, 120.0, 240.0])
     radius = 6e-3
     return as_arrays(
         Scene(
@@ -28,7 +28,7 @@ def hybrid_robot(length: ScalarLike = 0.1, gravity: VectorLike | None = None) ->
             bending_damping=1e-6,
             gravity=gravity,
             drag_coefficient=0.03,
-            tendons=Tendons(4e-3 * jnp.stack([jnp.cos(angle), jnp.sin(angle)], axis=1)),
-            chambers=Chambers(jnp.array([jnp.pi * 1.5e-3**2]), jnp.zeros((1, 2))),
+            tendons=Tendons(4e-3 * np.stack([np.cos(angle), np.sin(angle)], axis=1)),
+            chambers=Chambers(np.array([np.pi * 1.5e-3**2]), np.zeros((1, 2))),
         )
     )

@@ -19,6 +19,8 @@ import numpy as np
 from softrod_jax.bvp.method import AbstractMethod
 from softrod_jax.foundation.results import RESULTS
 from softrod_jax.rod.constants import Rod
+from softrod_jax.rod.reduction import make_rod
+from softrod_jax.scene.scene import Scene
 from softrod_jax.stepping.scheme import AbstractTimeScheme
 from softrod_jax.stepping.substeps import MOST_SUBSTEPS, LocalError
 
@@ -53,7 +55,7 @@ _CURABLE = (RESULTS.diverged, RESULTS.max_iterations, RESULTS.inaccurate)
 
 def run_within(
     run: Callable,
-    rod: Rod,
+    scene: Scene,
     dt: float,
     scheme: AbstractTimeScheme,
     method: AbstractMethod,
@@ -67,23 +69,23 @@ def run_within(
     Returns the trajectory with its errors in `stats`, in lengths of the rod, and with the code
     `inaccurate` where no care that is offered is enough.
     """
-    care = _first_care(rod, dt, scheme, substeps, tolerance)
+    care = _first_care(scene, dt, scheme, substeps, tolerance)
     last, error, method, agrees = _with_more_care(
-        run, rod, run(care, method), care, method, fixed_grid, tolerance
+        run, scene, run(care, method), care, method, fixed_grid, tolerance
     )
-    if last.result == RESULTS.successful and not agrees:
+    if _solved(last) and not agrees:
         # Solved, but never twice the same.
         step = 0 if error is None else np.argmax(error > min(tolerance, error[-1]))
         last = eqx.tree_at(
             lambda t: (t.result, t.failed_step),
             last,
-            (jnp.array(RESULTS.inaccurate, jnp.int32), jnp.array(step)),
+            (jnp.asarray(np.int32(RESULTS.inaccurate)), _count(step)),
         )
     return _with(last, error, method)
 
 
 def _with_more_care(
-    run, rod, first, care, method, fixed_grid, tolerance, enough=None, rough=None, tries=None
+    run, scene, first, care, method, fixed_grid, tolerance, enough=None, rough=None, tries=None
 ):
     """The last motion, its difference to the one before, its method, and whether they agree.
 
@@ -95,7 +97,7 @@ def _with_more_care(
     enough = tolerance if enough is None else enough
     rough = _GRID_SHARE * tolerance if rough is None else rough
     last, excess, error = first, 1.0, None
-    good, good_method = (last if last.result == RESULTS.successful else None), method
+    good, good_method = (last if _solved(last) else None), method
     for attempt in itertools.count(1):
         if attempt > 1 and (_is_last(care, tolerance) or attempt == tries):
             break
@@ -104,15 +106,15 @@ def _with_more_care(
             method = method.finer()
         # Where the grid was to blame, too, stricter steps than these may be for nothing.
         care = _more_care(care, excess if method == before else 1.0)
-        code, last, excess = last.result, run(care, method), 1.0
-        if last.result != RESULTS.successful:
-            if last.result == code and int(code) not in _CURABLE:
+        code, last, excess = int(last.result), run(care, method), 1.0
+        if not _solved(last):
+            if int(last.result) == code and code not in _CURABLE:
                 break  # twice the same answer: there is none
             continue
         if good is not None:
-            error = _apart(last, good, rod)
+            error = _apart(last, good, scene)
             if not _is_finer(last, good):
-                error = np.maximum(error, np.asarray(last.stats["time_error"]))
+                error = np.maximum(error, _stat(last, "time_error"))
             excess = error[-1] / tolerance
             # A front is rough on any grid, and then only another grid can tell.
             if error[-1] <= enough and (method != good_method or _is_smooth(last, method)):
@@ -123,7 +125,7 @@ def _with_more_care(
 
 def run_checked(
     run: Callable,
-    rod: Rod,
+    scene: Scene,
     dt: float,
     scheme: AbstractTimeScheme,
     method: AbstractMethod,
@@ -139,34 +141,33 @@ def run_checked(
     by more than `limit` lengths, other motions tell their error; where it is larger and the
     steps are not given (`fixed_steps`), the motion is that with substeps that errors choose.
     """
-    once = lambda method: run(substeps, method, jnp.array(limit))
-    unjudged = lambda care, method: run(care, method, jnp.array(jnp.inf))
+    once = lambda method: run(_count(substeps), method, _number(limit))
+    unjudged = lambda care, method: run(care, method, _number(jnp.inf))
     motion = once(method)
     if not fixed_grid:
         motion, method = _smoother(once, motion, method)
-    estimate = float(motion.stats["time_error"][-1])
+    estimate = float(_stat(motion, "time_error")[-1])
     moving = int(motion.result) in (RESULTS.successful, RESULTS.inaccurate)
     if not (estimate > _DOUBTFUL * limit and moving and _is_smooth(motion, method)):
         return _with(motion, None, method)
-    least = np.zeros(motion.stats["time_error"].shape)
+    least = np.zeros_like(_stat(motion, "time_error"))
     if estimate <= limit:
-        other = unjudged(jnp.array(_TIMES * substeps), method)
-        if other.result == RESULTS.successful:
-            least = _apart(motion, other, rod)
+        other = unjudged(_count(_TIMES * substeps), method)
+        if _solved(other):
+            least = _apart(motion, other, scene)
             if least[-1] <= _CONFIRMS * limit:
                 return _with(motion, None, method)
     judged = lambda error, **more: _judged(_with(motion, error, method, **more), limit)
-    care = _first_care(rod, dt, scheme, _TIMES * substeps, _KEPT)
+    care = _first_care(scene, dt, scheme, _TIMES * substeps, _KEPT)
     fine = unjudged(care, method)
-    if fine.result == RESULTS.successful:
-        left = np.asarray(fine.stats["time_error"])
-        error = np.maximum(_apart(motion, fine, rod) + left, least)
+    if _solved(fine):
+        error = np.maximum(_apart(motion, fine, scene) + _stat(fine, "time_error"), least)
         if error[-1] <= limit:
             return judged(error)
     # Short steps show waves for which the grid of long ones is too coarse.
     found, error, method_found, agrees = _with_more_care(
         unjudged,
-        rod,
+        scene,
         fine,
         care,
         method,
@@ -177,24 +178,34 @@ def run_checked(
         tries=_TRIES,
     )
     if not agrees:
-        if fine.result != RESULTS.successful:
+        if not _solved(fine):
             return _with(motion, None, method)  # no other tells more than the estimate does
         # The estimate is contradicted: it may be too small. What is right is not known, but the
         # motion with the most care is the best guess at it.
-        error = np.asarray(motion.stats["time_error"]) / _DOUBTFUL
-        if found.result == RESULTS.successful:
-            error = np.maximum(error, _apart(motion, found, rod))
+        error = _stat(motion, "time_error") / _DOUBTFUL
+        if _solved(found):
+            error = np.maximum(error, _apart(motion, found, scene))
         return judged(error)
     if not fixed_steps:
         return _with(found, error, method_found)
-    needed = jnp.max(found.stats["substeps"])
-    return judged(_apart(motion, found, rod) + error, needed_substeps=needed)
+    needed = _count(np.max(_stat(found, "substeps")))
+    return judged(_apart(motion, found, scene) + error, needed_substeps=needed)
 
 
-def _apart(motion, other, rod: Rod):
+def _solved(motion) -> bool:
+    return int(motion.result) == RESULTS.successful
+
+
+def _stat(motion, name: str) -> np.ndarray:
+    """As numpy has it: each operation of JAX's here would be a program to compile."""
+    return np.asarray(motion.stats[name])
+
+
+def _apart(motion, other, scene: Scene):
     """How far the tips of two motions have been apart, (steps,), in lengths."""
-    moved = np.linalg.norm(motion.tip_positions - other.tip_positions, axis=-1)[1:]
-    return np.maximum.accumulate(moved) / float(rod.L)
+    tips = np.asarray(motion.tip_positions), np.asarray(other.tip_positions)
+    moved = np.linalg.norm(tips[0] - tips[1], axis=-1)[1:]
+    return np.maximum.accumulate(moved) / float(scene.length)
 
 
 def _is_finer(motion, other) -> bool:
@@ -202,13 +213,13 @@ def _is_finer(motion, other) -> bool:
 
     Local errors that are too small to divide a step may still add up.
     """
-    count = lambda motion: int(np.sum(motion.stats["substeps"]))
+    count = lambda motion: int(np.sum(_stat(motion, "substeps")))
     return count(motion) >= _MORE * count(other)
 
 
 def advice(motion, dt: float, limit: float) -> str:
     """What steps to take where those of a motion are too long; empty where they are not."""
-    error, needed = float(motion.stats["time_error"][-1]), int(motion.stats["needed_substeps"])
+    error, needed = float(_stat(motion, "time_error")[-1]), int(motion.stats["needed_substeps"])
     if int(motion.result) != RESULTS.inaccurate or not error > limit:
         return ""
     return (
@@ -219,7 +230,7 @@ def advice(motion, dt: float, limit: float) -> str:
 
 def _smoother(run: Callable, motion, method: AbstractMethod):
     """The motion and the method, refined while the estimate along the rod asks for it."""
-    roughness = lambda motion: float(np.max(motion.stats["error"]))
+    roughness = lambda motion: float(np.max(_stat(motion, "error")))
     curable = (RESULTS.successful, RESULTS.inaccurate)
     while roughness(motion) > _ROUGH and int(motion.result) in curable:
         if 2 * method.intervals > _MOST_INTERVALS:
@@ -228,30 +239,35 @@ def _smoother(run: Callable, motion, method: AbstractMethod):
         if int(finer.result) not in curable:
             break
         coarse, motion, method = motion, finer, method.finer()
-        if coarse.result == RESULTS.successful and (
-            roughness(finer) > _SMOOTHER * roughness(coarse)
-        ):
+        if _solved(coarse) and roughness(finer) > _SMOOTHER * roughness(coarse):
             break
     return motion, method
 
 
 def _judged(motion, limit: float):
     """The motion, solved at every step, with the code that its error in time asks for."""
-    too_large = np.asarray(motion.stats["time_error"]) > limit
+    too_large = _stat(motion, "time_error") > limit
     wrong = bool(too_large[-1])
-    code = jnp.array(RESULTS.inaccurate if wrong else RESULTS.successful, jnp.int32)
-    step = jnp.array(np.argmax(too_large) if wrong else -1)
+    code = jnp.asarray(np.int32(RESULTS.inaccurate if wrong else RESULTS.successful))
+    step = _count(np.argmax(too_large) if wrong else -1)
     return eqx.tree_at(lambda t: (t.result, t.failed_step), motion, (code, step))
 
 
-def _first_care(rod, dt, scheme, substeps, tolerance):
+def _first_care(scene, dt, scheme, substeps, tolerance):
     """What to give to `run` for its `substeps` at first: a `LocalError`, or a number."""
     if scheme.one_step:
-        # With a dtype of their own, as more care has: one program serves all tries.
-        number = lambda x: jnp.array(x, dtype=float)
-        return LocalError(number(_FIRST_LIMIT * tolerance), number(1 / substeps))
-    # On the device the number of substeps is an input: one program serves all tries.
-    return jnp.array(max(substeps, _first_substeps(rod, dt, tolerance)))
+        return LocalError(_number(_FIRST_LIMIT * tolerance), _number(1 / substeps))
+    return _count(max(substeps, _first_substeps(make_rod(scene), dt, tolerance)))
+
+
+def _number(x: float):
+    """An input of the compiled program, with a dtype of its own: one program serves all tries."""
+    return jnp.asarray(np.asarray(x, dtype=float))
+
+
+def _count(x: int):
+    """As `_number`. A loop of so many substeps costs 1 % more than a step that is written out."""
+    return jnp.asarray(np.asarray(x, dtype=int))
 
 
 def _more_care(care, excess: float):
@@ -291,12 +307,12 @@ def _needs_finer_grid(motion, method: AbstractMethod, rough: float) -> bool:
     if 2 * method.intervals > _MOST_INTERVALS:
         return False
     # One that is not a number is above no limit.
-    too_rough = np.max(motion.stats["error"]) > rough
+    too_rough = np.max(_stat(motion, "error")) > rough
     return bool(too_rough) or int(motion.result) in _CURABLE
 
 
 def _is_smooth(motion, method: AbstractMethod) -> bool:
-    return not np.max(motion.stats["error"]) > method.max_error
+    return not np.max(_stat(motion, "error")) > method.max_error
 
 
 def _with(motion, error, method, **more):
