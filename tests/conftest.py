@@ -44,6 +44,38 @@ if "JAX_COMPILATION_CACHE_DIR" not in os.environ:
 jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.5)
 
 
+# Tests that take long are a third of all time. At each commit a third of them run, by turns.
+_TURNS = 3
+
+
+def pytest_configure(config):
+    """Whose turn it is, for the processes that run the tests, too, as `LONG` in the environment.
+
+    All of them run with `LONG=all`, where tests are named, and where there is no git.
+    """
+    if "PYTEST_XDIST_WORKER" in os.environ:
+        return
+    named = config.args_source != pytest.Config.ArgsSource.TESTPATHS
+    os.environ.setdefault("LONG", "all" if named or config.option.markexpr else _turn())
+
+
+def _turn() -> str:
+    asked = ["git", "rev-parse", "HEAD"]
+    try:
+        found = subprocess.run(asked, cwd=Path(__file__).parent, capture_output=True, text=True)
+    except OSError:
+        return "all"
+    return "all" if found.returncode else str(int(found.stdout[:8], 16) % _TURNS)
+
+
+def pytest_collection_modifyitems(items):
+    turn = os.environ["LONG"]
+    takes_long = [item for item in items if item.get_closest_marker("long")]
+    for k, item in enumerate(takes_long):
+        if turn != "all" and k % _TURNS != int(turn):
+            item.add_marker(pytest.mark.skip("its turn is at another commit; LONG=all runs it"))
+
+
 _compiled = []
 
 
@@ -70,11 +102,11 @@ def few_programs():
 
 @pytest.fixture(autouse=True)
 def types_are_checked(request):
-    """In those of types, and in every third other one, always the same: all take 15 % longer.
+    """In those of types, and in every sixth other one, always the same: all take 15 % longer.
 
     With `CHECK_TYPES=all` in the environment, in all.
     """
-    chosen = zlib.crc32(request.node.nodeid.encode()) % 3 == 0
+    chosen = zlib.crc32(request.node.nodeid.encode()) % 6 == 0
     checked = chosen or request.path.stem == "test_types" or os.environ.get("CHECK_TYPES") == "all"
     jaxtyping.config.update("jaxtyping_disable", not checked)
 

@@ -177,6 +177,7 @@ def test_the_force_of_a_wall_that_beats_is_right_at_ten_milliseconds():
     np.testing.assert_allclose(coarse, fine, rtol=0.01, atol=0)
 
 
+@pytest.mark.long
 def test_derivatives_by_the_poses():
     dt, steps = 8e-3, 6
     scene = rod(gravity=np.array([G, 0.0, 0.0]), contacts=(WALL,))

@@ -146,6 +146,7 @@ def test_derivatives_along_a_path_of_inputs():
     assert np.allclose(forward * x, central * x, rtol=1e-5, atol=1e-8)
 
 
+@pytest.mark.long
 def test_a_slow_motion_goes_along_the_path_of_equilibria():
     t = np.linspace(0.0, 1.0, 101)[1:]
     tensions = 0.4 * (0.5 - 0.5 * np.cos(3 * np.pi * t))[:, None]
@@ -218,6 +219,7 @@ def test_an_equilibrium_goes_on_from_the_one_before():
     assert np.allclose(last.tip_position, whole.tip_position[-1], atol=1e-9)
 
 
+@pytest.mark.long
 def test_a_bad_sample_of_a_batch_of_paths_spoils_no_other():
     batch = jnp.array([[[0.2], [0.3]], [[0.2], [jnp.nan]], [[0.3], [0.25]]])
     solve = lambda scene, rows: sr.solve_path(scene, tensions=rows, throw=False)

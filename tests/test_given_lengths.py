@@ -164,6 +164,7 @@ def test_derivatives_by_modulus_and_pulls(function):
         np.testing.assert_allclose(a, c, rtol=0, atol=1e-6 * size)
 
 
+@pytest.mark.long
 def test_the_other_method_agrees():
     method = sr.Shooting(segments=2, steps=12)
     shot = sr.solve_static(HELD, pulls=[6e-3, 0.0, 0.0], method=method)

@@ -170,6 +170,7 @@ def test_the_law_written_again(name):
     np.testing.assert_allclose(moving[0][0], moving[1][0], rtol=0, atol=1e-8)
 
 
+@pytest.mark.long
 def test_both_methods_and_both_time_schemes():
     scene = rod(gravity=ACROSS, section_at_end=sr.Circle(5e-3))
     tips = [

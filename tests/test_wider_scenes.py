@@ -200,6 +200,7 @@ def test_places_that_are_traced_give_the_same():
     np.testing.assert_allclose(solution.tip_position, known, rtol=0, atol=2e-6)
 
 
+@pytest.mark.long
 def test_parts_that_change_nothing_change_nothing():
     """A uniform rod cut into segments, with a mass of nothing and tendons in two halves."""
     robot = as_arrays(sr.Scene(**PAPER, gravity=ALONG, tendons=sr.Tendons([[4e-3, 0.0]])))
@@ -221,6 +222,7 @@ def test_parts_that_change_nothing_change_nothing():
     np.testing.assert_allclose(moving[0].tip_positions, moving[1].tip_positions, rtol=0, atol=2e-6)
 
 
+@pytest.mark.long
 def test_loads_and_masses_at_the_tip_are_those_of_the_tip():
     force, moment = np.array([0.004, 0.002, 0.001]), np.array([1e-4, -1e-4, 2e-4])
     at_tip = sr.Scene(

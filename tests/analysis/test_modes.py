@@ -110,6 +110,7 @@ def frequencies(z):
     return jnp.concatenate([found.frequencies, found.damping_ratios])
 
 
+@pytest.mark.long
 def test_gradients_are_the_slopes():
     f, one, d = frequencies, jnp.ones(3), 1e-3
     reverse = jax.jacrev(f)(one)

@@ -4,6 +4,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import pytest
 from beams import FIT, NOISE, TRUTH, beam, release
 
 import softrod_jax as sr
@@ -46,6 +47,7 @@ def test_creep_of_a_beam_is_told():
         assert abs(apart) < 0.01 * (high - low)
 
 
+@pytest.mark.long
 def test_what_relaxes_explains_residuals():
     recording = release(beam(**PLAIN, relaxation=[[G, TAU]]))
     start = beam(**(PLAIN | {"young_modulus": 2.5e5}), relaxation=[[0.1, TAU]])
@@ -55,6 +57,7 @@ def test_what_relaxes_explains_residuals():
     assert rms["relaxation_part"] < 0.5 * found.rmse_m["release"]
 
 
+@pytest.mark.long
 def test_constants_of_rubber():
     law = lambda c1, c2: beam(young_modulus=None, material=sr.MooneyRivlin(c1, c2))
     plain = lambda c1, c2: replace(law(c1, c2), poisson_ratio=None)

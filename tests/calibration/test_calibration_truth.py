@@ -108,6 +108,7 @@ def test_no_recordings():
         calibrate(beam(young_modulus=2e5), [], progress=False)
 
 
+@pytest.mark.long
 @pytest.mark.skipif(not BEAM.exists(), reason="shared/data/beam is absent")
 def test_a_real_beam():
     """Silicone beam, motion capture: the modulus is known, shear damping and drag are not."""

@@ -22,6 +22,7 @@ def bend(pull):
     return solution.tip_position, solution.result
 
 
+@pytest.mark.long
 def test_spread_is_vmap_is_a_loop():
     tips, codes = sr.spread(bend)(PULLS)
     np.testing.assert_allclose(tips, jax.vmap(bend)(PULLS)[0], atol=1e-14)

@@ -1,11 +1,6 @@
-"""The notebooks run from top to bottom, and are committed with their outputs.
-
-All of them take as long as a sixth of all tests. At each commit a third of them run, by turns; with
-`NOTEBOOKS=all` in the environment, all do.
-"""
+"""The notebooks run from top to bottom, and are committed with their outputs."""
 
 import os
-import subprocess
 from pathlib import Path
 
 import jax
@@ -17,21 +12,6 @@ nbclient = pytest.importorskip("nbclient")
 NOTEBOOKS = sorted((Path(__file__).parents[2] / "notebooks").glob("*.ipynb"))
 # They run a program hundreds of times or ten thousand of its samples: LLVM's optimisations pay.
 OFTEN = "04_calibrate", "05_ten_thousand_actuations", "07_learning"
-
-
-TURNS = 3
-
-
-def turn():
-    """Whose turn it is at this commit, below `TURNS`; `None`, all, where there is no git."""
-    if os.environ.get("NOTEBOOKS") == "all":
-        return None
-    asked = ["git", "rev-parse", "HEAD"]
-    try:
-        found = subprocess.run(asked, cwd=NOTEBOOKS[0].parent, capture_output=True, text=True)
-    except OSError:
-        return None
-    return None if found.returncode else int(found.stdout[:8], 16) % TURNS
 
 
 def read(path):
@@ -54,9 +34,6 @@ def test_committed_with_outputs(path):
 @pytest.mark.long
 @pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
 def test_runs(path, monkeypatch):
-    now = turn()
-    if now is not None and NOTEBOOKS.index(path) % TURNS != now:
-        pytest.skip("its turn is at another commit; NOTEBOOKS=all runs it")
     # Notebooks share programs with each other.
     monkeypatch.setenv("JAX_COMPILATION_CACHE_DIR", jax.config.jax_compilation_cache_dir)
     if path.stem in OFTEN:

@@ -25,6 +25,7 @@ def verdicts(rows):
     return {row.text.strip("“”"): row.verdict for row in rows}
 
 
+@pytest.mark.long
 def test_writes_the_figures_and_the_table(quick):
     _, rows, directory = quick
     figures = {path.stem: path.stat().st_size for path in directory.glob("*.png")}

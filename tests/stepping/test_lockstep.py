@@ -50,6 +50,7 @@ def in_both_ways(function):
     return jax.tree.map(np.asarray, (together, apart))
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("scheme", [sr.SDIRK(3), sr.BDFAlpha(-0.3)], ids=["stages", "one"])
 def test_motions_and_codes_are_those_of_one_after_the_other(scheme):
     together, apart = in_both_ways(functools.partial(motion, scheme=scheme))

@@ -77,6 +77,7 @@ def half_width(found, name):
     return (np.inf if high is None else high) / 2 - (0.0 if low is None else low) / 2
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("drifting", DRIFT)
 def test_windows_find_the_truth(fits, drifting):
     plain, windows = fits[drifting]

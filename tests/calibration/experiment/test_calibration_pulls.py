@@ -101,6 +101,7 @@ def test_what_the_tendons_are_is_recovered(recording):
     assert tendons.stiffness[0] == tendons.stiffness[1] != 120.0
 
 
+@pytest.mark.long
 def test_friction_and_play_are_recovered():
     truth = {"tendon_friction": 0.3, "backlash": 4e-4}
     scene = lambda friction, backlash: robot(friction=friction, backlash=backlash)

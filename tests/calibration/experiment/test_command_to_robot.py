@@ -73,6 +73,7 @@ def test_scenes_have_the_lags_of_what_drives_them():
     assert {"tension_lag", "pull_lag"} <= names(both)
 
 
+@pytest.mark.long
 def test_lag_and_gain_of_steps_are_recovered():
     steps, method = 32, FIT["method"]
     recordings = []

@@ -31,6 +31,7 @@ def seen(mass, name):
     )  # fmt: skip
 
 
+@pytest.mark.long
 def test_recordings_of_one_set_up_share_its_frame():
     recordings = [seen(0.0, "light"), seen(PAYLOAD, "heavy")]
     options = dict(fit=("young_modulus",), checks=False, window=(0.0, 1.0), progress=False, **FIT)

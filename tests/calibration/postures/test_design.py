@@ -99,6 +99,7 @@ def test_what_is_known_counts():
     assert priors.half_widths["density"] < 1.96e-3
 
 
+@pytest.mark.long
 def test_where_tendons_rub_whole_trials_are_chosen():
     trials = tuple("aabbcc")
     tensions = np.array([[0.1, 0], [0.2, 0], [0.9, 0], [0.3, 0], [0.05, 0], [0.06, 0]])

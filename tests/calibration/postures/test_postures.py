@@ -120,6 +120,7 @@ def test_attitudes_are_measurements_too():
         assert found.parameters[name].value == pytest.approx(value, rel=1e-4)
 
 
+@pytest.mark.long
 def test_friction_is_told_by_the_way_there_and_back():
     up = np.linspace(0.05, 0.8, 6)
     tensions = np.zeros((22, 4))
@@ -255,6 +256,7 @@ def log(path, postures, header=None):
     return path
 
 
+@pytest.mark.long
 def test_the_command_line_fits_postures(tmp_path, capsys):
     from calibration.cli.main import main
 
