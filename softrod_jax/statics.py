@@ -97,13 +97,23 @@ class StaticSolution(eqx.Module):
 
     def at(self, s) -> Pose:
         """The pose of the section at arc length `s` [m], a number that can be traced."""
-        inside = self.method.inside(self.point_strains)
-        return pose_between(inside, self.arc_lengths, self.positions, self.quaternions, s)
+        return _pose_at(self, jnp.asarray(s, dtype=float))
 
     def strain_at(self, s) -> Float[Array, "6"]:
         """The strains (v [-], u [1/m]) at arc length `s` [m], body frame; where they jump, those
         beyond."""
-        return strain_between(self.method.inside(self.point_strains), self.arc_lengths, s)
+        return _strain_at(self, jnp.asarray(s, dtype=float))
+
+
+@compiled
+def _pose_at(found: StaticSolution, s) -> Pose:
+    inside = found.method.inside(found.point_strains)
+    return pose_between(inside, found.arc_lengths, found.positions, found.quaternions, s)
+
+
+@compiled
+def _strain_at(found: StaticSolution, s) -> Float[Array, "6"]:
+    return strain_between(found.method.inside(found.point_strains), found.arc_lengths, s)
 
 
 def solve_static(
@@ -180,7 +190,12 @@ def tendon_pulls(scene: Scene, solution: StaticSolution) -> Float[Array, "tendon
     """
     if scene.tendons is None:
         return jnp.zeros(0)
-    scene = checked_scene("tendon_pulls", scene)
+    return _tendon_pulls(checked_scene("tendon_pulls", scene), solution)
+
+
+@compiled
+def _tendon_pulls(scene: Scene, solution: StaticSolution) -> Float[Array, "tendons"]:
+    assert scene.tendons is not None
     grid = solution.method.grid(scene)
     rod = make_rod(scene, filled(scene, Inputs()), dynamic=False, grid=grid)
     there = where_active(scene, grid, scene.tendons)
