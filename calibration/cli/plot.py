@@ -1,7 +1,8 @@
 """Draw a log, a rod at rest, or a rod that moves under the inputs of a log.
 
   softrod plot LOG.csv              the tip and the inputs against time, the path of the tip
-  softrod plot SCENE.toml           the equilibrium under --tension, --pressure and --pull, in 3D
+  softrod plot SCENE.toml           the equilibrium under --tension, --pressure and --pull, in 3D;
+                                    with --modes N, the N slowest small motions about it
   softrod plot SCENE.toml LOG.csv   simulates the inputs of the log, and draws the rod in 3D beside
                                     the simulated tip and the log's; with --out FILE.gif or
                                     FILE.html, a film
@@ -22,6 +23,7 @@ from calibration.cli.common import (
     check_writable,
     given_inputs,
     grid,
+    intervals,
     note,
     positive,
     prepare_jax,
@@ -51,6 +53,12 @@ def add_arguments(parser) -> None:
         parser,
         "refine the grid, and divide the steps of a motion, until the tip's estimated error is "
         "below X lengths of the rod",
+    )
+    parser.add_argument(
+        "--modes",
+        type=intervals,
+        metavar="N",
+        help="of an equilibrium: the shapes of its N slowest modes, as softrod modes lists them",
     )
     motion = parser.add_argument_group("motions: a scene and a log")
     motion.add_argument(
@@ -122,12 +130,14 @@ def _check_options(args, scene_path, log_path, out, kind) -> None:
         "--dt": args.dt,
         "--from-static": args.from_static or None,
     }
+    rests, modes = scene_path is not None and log_path is None, {"--modes": args.modes}
     rods = {"--intervals": args.intervals, "--tolerance": args.tolerance}
     film = {"--speed": args.speed, "--fps": args.fps}
     mapping = {"--mapping": args.mapping}
     for allowed, options, remedy in (
         (log_path is not None, mapping, "for a log only"),
         (log_path is None, inputs, "the log gives the inputs, or is drawn as it is"),
+        (rests, modes, "for a scene without a log only"),
         (moves, steps, "for a scene and a log only"),
         (scene_path is not None, rods, "for a scene only"),
         (kind in _FILMS, film, "for films only, --out FILE.gif or FILE.html"),
@@ -141,7 +151,7 @@ def _check_options(args, scene_path, log_path, out, kind) -> None:
 
 def _draw_equilibrium(args, scene, out) -> int:
     import softrod_jax as sr
-    from softrod_jax.pictures import picture
+    from softrod_jax.pictures import modes_picture, picture
 
     inputs = actuation(args, scene)
     solution = sr.solve_static(scene, *inputs, throw=False, **grid(args))
@@ -149,6 +159,10 @@ def _draw_equilibrium(args, scene, out) -> int:
         return _failed(reason(solution.result))
     if not bool(solution.stats["stable"]):
         note(UNSTABLE)
+    if args.modes is not None:
+        found = sr.modes(scene, *inputs, count=args.modes, method=solution.method)
+        _save(modes_picture(scene, found), out)
+        return _written(out)
     _save(picture(scene, solution, _shown(inputs, solution.tensions), inputs.pressures), out)
     return _written(out)
 

@@ -14,6 +14,7 @@ from softrod_jax.pictures.drawing import TENDON_COLOURS as TENDON_COLOURS
 from softrod_jax.pictures.drawing import draw_rod as draw_rod
 from softrod_jax.pictures.drawing import rod_axes as rod_axes
 from softrod_jax.pictures.film import film as film
+from softrod_jax.pictures.mode_shapes import modes_picture as modes_picture
 from softrod_jax.pictures.stills import draw_stills as draw_stills
 from softrod_jax.pictures.stills import picture as picture
 from softrod_jax.pictures.stills import stills as stills

@@ -185,10 +185,10 @@ def line_along(shape, arc: np.ndarray) -> Line:
     R = np.asarray(jax.jit(rotation_matrix)(jnp.asarray(shape.quaternions)))
     v, u = strains[..., :3, None], strains[..., 3:]
     hat = np.stack([np.cross(u, e) for e in np.eye(3)], axis=-1)
-    p = _cubic(p, (R @ v)[..., 0], nodes, arc)
+    p = cubic(p, (R @ v)[..., 0], nodes, arc)
     flat = lambda matrices: matrices.reshape(*matrices.shape[:-2], 9)
     # Not quite rotations between the nodes; nobody sees a fourth order.
-    R = _cubic(flat(R), flat(R @ hat), nodes, arc)
+    R = cubic(flat(R), flat(R @ hat), nodes, arc)
     return Line(p, R.reshape(*R.shape[:-1], 3, 3))
 
 
@@ -204,7 +204,7 @@ def placed(line: Line, section_points: np.ndarray) -> np.ndarray:
     return line.p[:, None] + np.einsum("sij,scj->sci", line.R[..., :2], outlines)
 
 
-def _cubic(y, y_s, nodes, arc) -> np.ndarray:
+def cubic(y, y_s, nodes, arc) -> np.ndarray:
     """Hermite's cubic between nodes, from values and slopes (*batch, nodes, n)."""
     # Where something jumps there are two nodes, with nothing between them.
     k = np.clip(np.searchsorted(nodes, arc, side="right") - 1, 0, len(nodes) - 2)

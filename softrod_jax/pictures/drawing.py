@@ -36,7 +36,8 @@ def rod_axes(
 
     - `shapes`: a `StaticSolution`, a `Trajectory`, or what else has `positions`, `quaternions`
       and `strains`, (*batch, nodes, ..).
-    - `place`: where in the figure, as in `Figure.add_subplot`. `view`: elevation and azimuth [deg].
+    - `place`: where in the figure, as in `Figure.add_subplot`, a number or three of them. `view`:
+      elevation and azimuth [deg].
     """
     body = body_of(scene, POINTS)
     line = line_along(shapes, body.arc)
@@ -53,7 +54,8 @@ def rod_axes(
     size, unit = unit_of(scene)
     vertical, sign = upright(scene)
     with rc_context({"grid.color": "#d8dade", "grid.linewidth": 0.6}):
-        axes = figure.add_subplot(place, projection="3d", computed_zorder=False)
+        at = place if isinstance(place, tuple) else (place,)
+        axes = figure.add_subplot(*at, projection="3d", computed_zorder=False)
     flipped = set() if sign > 0 else {vertical, (vertical + 2) % 3}
     for i, name in enumerate("xyz"):
         ends = size * np.array([low[i], high[i]])
