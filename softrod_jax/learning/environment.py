@@ -1,11 +1,12 @@
 """A gymnasium environment: bring the tip of a rod to a target, and hold it there.
 
-gymnasium.make("softrod_jax.learning.environment:softrod/Reach-v0")
+    gymnasium.make("softrod_jax.learning.environment:softrod/Reach-v0")
+
+Many at once, in one compiled program, are in `vector_environment.py`.
 """
 
 from typing import Any
 
-import jax.numpy as jnp
 import numpy as np
 
 try:
@@ -19,17 +20,14 @@ except ModuleNotFoundError as error:
 from softrod_jax.bvp.collocation import Collocation
 from softrod_jax.bvp.method import AbstractMethod
 from softrod_jax.foundation.results import RESULTS, result_message
-from softrod_jax.learning.stepping import Action, RodState, Stepper
-from softrod_jax.scene.inputs import KINDS
-from softrod_jax.scene.robots import hybrid_robot
+from softrod_jax.learning.reaching import Reaching
+from softrod_jax.learning.rendering import frame
+from softrod_jax.learning.stepping import RodState
 from softrod_jax.scene.scene import Scene
 from softrod_jax.statics import solve_static
 from softrod_jax.stepping.bdf_alpha import BDFAlpha
 from softrod_jax.stepping.scheme import AbstractTimeScheme
 
-# Bounds of what is observed: the tip and the target, and the tip's velocity, in lengths of the rod
-# and lengths a second.
-_REACH, _SPEED = 3.0, 100.0
 # Draws of a target before the limits are called to blame.
 _DRAWS = 20
 
@@ -41,6 +39,7 @@ class ReachEnv(gymnasium.Env):
     - `dt` [s]: the length of a step. `max_steps`: after so many an episode is truncated.
     - `tension_limit` [N], `pressure_limit` [Pa] and `pull_limit` [m]: of each actuator.
     - `scheme`, `method`: as in `simulate`; the defaults are fast rather than accurate.
+    - `render_mode`: "rgb_array" for pictures by `render`, which need the extra `plots`.
 
     Actions, in [-1, 1], are tensions, pressures and pulls, in this order, from zero to their
     limits, reached at the end of the step; values outside are clipped. Observed are, in this
@@ -60,7 +59,7 @@ class ReachEnv(gymnasium.Env):
     that is not finite, and where no random action has an equilibrium.
     """
 
-    metadata = {"render_modes": []}
+    metadata = {"render_modes": ["rgb_array"], "render_fps": 25}
 
     def __init__(
         self,
@@ -75,26 +74,16 @@ class ReachEnv(gymnasium.Env):
         method: AbstractMethod = Collocation(6, order=6),  # noqa: B008
         render_mode: str | None = None,
     ):
-        if render_mode is not None:
-            raise ValueError(f"ReachEnv: render_mode={render_mode!r}; it draws nothing, use None")
+        if render_mode not in (None, "rgb_array"):
+            raise ValueError(
+                f"ReachEnv: render_mode={render_mode!r}; 'rgb_array' gives pictures, None nothing"
+            )
         limits = (tension_limit, pressure_limit, pull_limit)
-        for kind, limit in zip(KINDS, limits, strict=True):
-            if not 0 < limit < np.inf:
-                raise ValueError(f"ReachEnv: {kind.one}_limit={limit}; a positive number is needed")
-        if scene is None:
-            scene = hybrid_robot(gravity=jnp.array([0.0, 0.0, 9.81]))
-        self.stepper = Stepper(scene, dt, scheme=scheme, method=method)
-        self.render_mode, self.max_steps = None, max_steps
-        counts = [kind.count(scene) for kind in KINDS]
-        if sum(counts) == 0:
-            raise ValueError("ReachEnv: the scene has no tendons and no chambers; add actuators")
-        self._limits, self._ends = np.repeat(limits, counts), np.cumsum(counts)
-        self.action_space = gymnasium.spaces.Box(-1.0, 1.0, self._limits.shape, np.float32)
-        sizes = np.array([_REACH, _SPEED, _REACH, 1], np.float32)
-        sizes = np.repeat(sizes, [3, 3, 3, self._limits.size])
-        self._sizes = sizes
+        self.task = Reaching(scene, dt, limits, scheme, method)
+        self.render_mode, self.max_steps = render_mode, max_steps
+        sizes = self.task.sizes
+        self.action_space = gymnasium.spaces.Box(-1.0, 1.0, self.task.limits.shape, np.float32)
         self.observation_space = gymnasium.spaces.Box(-sizes, sizes, dtype=np.float32)
-        self._fresh: RodState | None = None
         self._state: RodState | None = None
 
     def reset(
@@ -102,12 +91,8 @@ class ReachEnv(gymnasium.Env):
     ) -> tuple[np.ndarray, dict[str, Any]]:
         """Begin an episode; `options={"target": (x, y, z)}` [m] sets the target."""
         super().reset(seed=seed)
-        if self._fresh is None:
-            rest = self._action(-np.ones(self._limits.shape))
-            initial = solve_static(self.stepper.scene, *rest, method=self.stepper.method)
-            self._fresh = self.stepper.reset(initial, rest)
-        self._state, self._steps = self._fresh, 0
-        self._last = -np.ones(self._limits.shape)
+        self._state, self._steps = self.task.fresh(), 0
+        self._last = -np.ones(self.task.limits.shape)
         target = (options or {}).get("target")
         self._target = self._random_target() if target is None else np.asarray(target, float)
         if self._target.shape != (3,) or not np.all(np.isfinite(self._target)):
@@ -118,50 +103,54 @@ class ReachEnv(gymnasium.Env):
         """One step of the rod; see the class."""
         if self._state is None:
             raise gymnasium.error.ResetNeeded("ReachEnv.step: call reset first")
-        action = np.clip(np.asarray(action, dtype=float), -1.0, 1.0)
-        if action.shape != self._limits.shape:
-            raise ValueError(
-                f"ReachEnv.step: action has shape {action.shape}; {self._limits.shape} is needed"
-            )
-        self._state = self.stepper.step(self._state, self._action(action))
+        action = self.task.checked(action)
+        self._state = self.task.stepper.step(self._state, self.task.action(action))
         self._steps, self._last = self._steps + 1, action
         observation, info, distance = self._observed(self._state)
         truncated = info["failed"] or self._steps >= self.max_steps
         return observation, -distance, False, truncated, info
 
-    def _action(self, action) -> Any:
-        """The `Action` of numbers in [-1, 1]."""
-        parts = np.split(0.5 * (action + 1.0) * self._limits, self._ends[:-1])
-        return Action(*(part if part.size else None for part in parts))
+    def render(self) -> np.ndarray | None:
+        """A picture of the rod and its target, (height, width, 3); needs the extra `plots`."""
+        if self.render_mode is None:
+            return None
+        if self._state is None:
+            raise gymnasium.error.ResetNeeded("ReachEnv.render: call reset first")
+        stepper = self.task.stepper
+        return frame(stepper.scene, stepper.view(self._state), self._target)
 
     def _random_target(self) -> np.ndarray:
-        code = None
+        code, stepper = None, self.task.stepper
         for _ in range(_DRAWS):
-            action = self._action(self.np_random.uniform(-1.0, 1.0, self._limits.shape))
-            solution = solve_static(
-                self.stepper.scene, *action, method=self.stepper.method, throw=False
-            )
+            action = self.task.action(self.np_random.uniform(-1.0, 1.0, self.task.limits.shape))
+            solution = solve_static(stepper.scene, *action, method=stepper.method, throw=False)
             code = solution.result
             if code == RESULTS.successful:
                 return np.asarray(solution.tip_position)
-        raise ValueError(
-            f"ReachEnv.reset: {_DRAWS} random actions have no equilibrium, the last one: "
-            f"{result_message(code)}; lower the limits of its inputs"
-        )
+        raise ValueError(no_target(_DRAWS, code))
 
     def _observed(self, state: RodState):
-        view, length = self.stepper.view(state), float(self.stepper.scene.length)
-        parts = (view.tip_position, view.tip_velocity, self._target)
-        observed = np.concatenate([*(np.asarray(x) / length for x in parts), self._last])
-        distance = float(np.linalg.norm(self._target - np.asarray(view.tip_position)))
+        view = self.task.stepper.view(state)
+        observation, distance = self.task.observed(view, self._target, self._last)
         info = {
             "result": int(view.result),
             "message": result_message(view.result),
             "failed": bool(view.result != RESULTS.successful),
-            "distance": distance,
+            "distance": float(distance * float(self.task.stepper.scene.length)),
         }
-        clipped = np.clip(observed, -self._sizes, self._sizes).astype(np.float32)
-        return clipped, info, distance / length
+        return observation, info, float(distance)
 
 
-gymnasium.register("softrod/Reach-v0", entry_point=f"{__name__}:ReachEnv")
+def no_target(draws: int, code) -> str:
+    """What is said where no random action has an equilibrium."""
+    return (
+        f"ReachEnv.reset: {draws} random actions have no equilibrium, the last one: "
+        f"{result_message(code)}; lower the limits of its inputs"
+    )
+
+
+gymnasium.register(
+    "softrod/Reach-v0",
+    entry_point=f"{__name__}:ReachEnv",
+    vector_entry_point="softrod_jax.learning.vector_environment:ReachVectorEnv",
+)

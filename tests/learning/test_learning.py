@@ -376,7 +376,9 @@ def test_the_environment_checks(recwarn):
     np.testing.assert_array_equal(one, again)
     assert np.abs(one[0, 6:9] - other[0, 6:9]).max() > 1e-3  # the targets
     # The reward is highest at the target, and the target can be given.
-    environment.reset(options={"target": environment.stepper.view(environment._fresh).tip_position})
+    environment.reset(
+        options={"target": environment.task.stepper.view(environment.task.fresh()).tip_position}
+    )
     assert environment.step(-np.ones(4))[1] > -1e-6
     with pytest.raises(ValueError, match="three numbers"):
         environment.reset(options={"target": (1.0, 2.0)})
