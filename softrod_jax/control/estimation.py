@@ -24,8 +24,9 @@ from softrod_jax.bvp.method import AbstractMethod
 from softrod_jax.foundation.compiling import compiled
 from softrod_jax.foundation.numbers import ScalarLike
 from softrod_jax.foundation.precision import require_float64
+from softrod_jax.foundation.results import RESULTS
 from softrod_jax.learning.stepping import Action, RodState, Stepper
-from softrod_jax.rod.constants import full_strain
+from softrod_jax.rod.constants import full_strain, inner_strain
 from softrod_jax.rod.markers import seen
 from softrod_jax.rod.reduction import clamp_pose, make_rod
 from softrod_jax.rod.rotations import quaternion_product
@@ -34,7 +35,7 @@ from softrod_jax.scene.checks import checked_scene
 from softrod_jax.scene.inputs import whole_number
 from softrod_jax.scene.loads import TipLoad
 from softrod_jax.scene.scene import Scene
-from softrod_jax.statics import StaticSolution
+from softrod_jax.statics import StaticSolution, solve_static
 from softrod_jax.stepping.scheme import AbstractTimeScheme
 from softrod_jax.stepping.sdirk import SDIRK
 
@@ -92,6 +93,7 @@ class Estimator(eqx.Module):
     that is too small, a scheme of several steps, dry friction and backlash.
     """
 
+    scene: Scene
     stepper: Stepper
     noise: Float[Array, "2"]
     force: Float[Array, ""] | None
@@ -113,7 +115,7 @@ class Estimator(eqx.Module):
         parameters: Mapping[str, ScalarLike] | None = None,
         rank: int = 24,
         substeps: int = 1,
-        scheme: AbstractTimeScheme = SDIRK(2),  # noqa: B008
+        scheme: AbstractTimeScheme = SDIRK(),  # noqa: B008
         method: AbstractMethod = Collocation(6, order=6),  # noqa: B008
     ):
         require_float64("Estimator")
@@ -123,7 +125,7 @@ class Estimator(eqx.Module):
             raise ValueError(f"Estimator: scheme={scheme} has a memory of past steps; use SDIRK")
         if scene.plane is not None:
             raise ValueError(f"Estimator: plane={scene.plane!r}; it is for rods in space, leave it")
-        load = scene.tip_load
+        self.scene, load = scene, scene.tip_load
         given, moment = (None, None) if load is None else (load.force, load.moment)
         at_tip = TipLoad(jnp.zeros(3) if given is None else given, moment)
         scene = dataclasses.replace(scene, tip_load=at_tip)
@@ -163,14 +165,18 @@ class Estimator(eqx.Module):
     ) -> Estimate:
         """Before the first measurement: at rest, unloaded or in the equilibrium `initial`.
 
-        As of `Stepper.reset`; what is estimated is as uncertain as was said, the rod's motion is
-        certain.
+        As of `Stepper.reset`. The force begins to act now; the parameters have acted before, and
+        the equilibrium is as uncertain as they are.
         """
         state = self.stepper.reset(initial, action)
         size = ravel_pytree(state.memory[0])[0].size
         deviations = jnp.concatenate([jnp.repeat(x, n) for x, n in self._deviations()])
         root = jnp.zeros((size + self.chosen, self.rank))
         root = root.at[size:, : self.chosen].set(jnp.diag(deviations))
+        if initial is not None and self.parameters:
+            first = self.chosen - len(self.parameters)
+            slope = _slope(self, initial, state.action) * deviations[first:]
+            root = root.at[: slope.shape[0], first : self.chosen].set(slope)
         ones = {name: jnp.ones(()) for name in self.parameters}
         zero = jnp.zeros(())
         return Estimate(state, jnp.zeros(3), ones, root, zero, self.force is not None)
@@ -223,10 +229,14 @@ class Estimator(eqx.Module):
             load = scene.tip_load
             changed = TipLoad(load.force + chosen[:3], load.moment)
             scene = dataclasses.replace(scene, tip_load=changed)
-        for name, x in zip(self.parameters, chosen[count:], strict=True):
+        return dataclasses.replace(self.stepper, scene=self.scaled(scene, chosen[count:]))
+
+    def scaled(self, scene: Scene, logs: Float[Array, "parameters"]) -> Scene:
+        """With parameters that are so many times as large, the logarithms of which are given."""
+        for name, x in zip(self.parameters, logs, strict=True):
             pick = operator.attrgetter(name)
             scene = eqx.tree_at(pick, scene, pick(scene) * jnp.exp(x))
-        return dataclasses.replace(self.stepper, scene=scene)
+        return scene
 
     def poses(self, stepper: Stepper, state: RodState) -> Pose:
         """Of what is seen, (markers, 3) and (markers, 4)."""
@@ -237,6 +247,19 @@ class Estimator(eqx.Module):
         every = seen(scene, method.inside(strain), method.outputs(grid.s), *shape)
         chosen = [every[name] for name in self.sees]
         return Pose(*(jnp.stack(x) for x in zip(*((p.position, p.quaternion) for p in chosen))))
+
+
+@compiled
+def _slope(estimator: Estimator, initial: StaticSolution, action: Action):
+    """How the strains of an equilibrium follow the logarithms of the parameters."""
+    method = estimator.stepper.method
+
+    def strains(logs):
+        scene = estimator.scaled(estimator.scene, logs)
+        found = solve_static(scene, *action, before=initial, method=method, throw=False)
+        return inner_strain(found.point_strains, make_rod(scene, grid=method.grid(scene))).ravel()
+
+    return jax.jacfwd(strains)(jnp.zeros(len(estimator.parameters)))
 
 
 @compiled
@@ -263,7 +286,8 @@ def _step(estimator: Estimator, estimate: Estimate, action: Action, measured: Po
     change, root, surprise = updated(root, Y, _beyond(pose, measured), _precision(estimator))
     root = truncated(root, _sizes(root, dim, end.memory[0]), estimator.rank)
     mean = ravel_pytree(end.memory[0])[0] + change[: x.size]
-    good = end.result == 0
+    # What is only too coarse a grid for a moment is no failure.
+    good = end.progress.result == RESULTS.successful
     keep = lambda a, b: jnp.where(good, a, b)
     chosen = keep(chosen + change[x.size :], chosen)
     state = _with_fields(end, as_fields(keep(mean, ravel_pytree(end.memory[0])[0])))
