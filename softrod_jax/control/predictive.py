@@ -107,7 +107,7 @@ class Predictive(eqx.Module):
         delay: int = 1,
         horizon: ScalarLike = 0.3,
         corners: int = 6,
-        effort: ScalarLike = 1e-3,
+        effort: ScalarLike = 3e-3,
     ):
         models = [models] if isinstance(models, LinearModel) else list(models)
         _check_alike(models)
@@ -156,7 +156,9 @@ class Predictive(eqx.Module):
                 f"{self.low.shape}, {self.inputs}, and {(len(self.outputs),)}"
             )
         corners = self.locals.forced.shape[-1] // u.size
-        return Control(_at_rest(self, u, y), jnp.tile(u, (self.delay + 1, 1)), jnp.tile(u, (corners, 1)))
+        return Control(
+            _at_rest(self, u, y), jnp.tile(u, (self.delay + 1, 1)), jnp.tile(u, (corners, 1))
+        )
 
     def step(
         self,
@@ -188,7 +190,9 @@ def _at_rest(controller: Predictive, u, measured):
         n = local.F.shape[0] - p
         own = u - local.u0
         still = jnp.linalg.solve(jnp.eye(n) - local.F[:n, :n], local.G[:n] @ own)
-        return jnp.concatenate([still, measured - local.y0 - local.C[:, :n] @ still - local.D @ own])
+        return jnp.concatenate(
+            [still, measured - local.y0 - local.C[:, :n] @ still - local.D @ own]
+        )
 
     return jax.vmap(one)(controller.locals)
 
@@ -218,7 +222,9 @@ def _step(controller: Predictive, control: Control, measured, reference):
     )
     forced = jnp.tensordot(weights, models.forced, 1)
     now = jnp.clip(plan, controller.low, controller.high)
-    u = _planned(controller, forced, weights @ free - reference.ravel(), queue[-1] / width, now / width)
+    u = _planned(
+        controller, forced, weights @ free - reference.ravel(), queue[-1] / width, now / width
+    )
     u = u * width
     chosen = jnp.clip(u[0], controller.low, controller.high)
     queue = jnp.concatenate([queue, chosen[None]])
@@ -256,7 +262,9 @@ def _local(model: LinearModel, outputs: list[int], how, seen, between) -> Local:
     # What shakes the states comes in as inputs do, as much of it as moves the outputs by `drift`.
     static = np.asarray(model.static_gain)[outputs]
     shaken = G[:n] @ (drift / np.linalg.norm(static, axis=0).clip(1e-300)[:, None] * np.eye(m))
-    Q = scipy.linalg.block_diag(shaken @ shaken.T + 1e-12 * noise**2 * np.eye(n), drift**2 * dt * np.eye(p))
+    Q = scipy.linalg.block_diag(
+        shaken @ shaken.T + 1e-12 * noise**2 * np.eye(n), drift**2 * dt * np.eye(p)
+    )
     P = scipy.linalg.solve_discrete_are(F.T, C.T, Q, noise**2 * np.eye(p))
     gain = np.linalg.solve(C @ P @ C.T + noise**2 * np.eye(p), C @ P).T
     steps, corners = between.shape
@@ -309,11 +317,15 @@ def _limits(inputs: tuple[str, ...], limits: Mapping[str, tuple]):
     low, high = [], []
     kinds = {kind.name: kind for kind in KINDS}
     if not isinstance(limits, Mapping) or not set(limits) <= set(kinds):
-        raise ValueError(f"Predictive: limits={limits!r}; a dictionary is needed with {list(kinds)}")
+        raise ValueError(
+            f"Predictive: limits={limits!r}; a dictionary is needed with {list(kinds)}"
+        )
     own = {name: [x for x in inputs if _is(x, kind)] for name, kind in kinds.items()}
     for name, found in own.items():
         if bool(found) != (name in limits):
-            raise ValueError(f"Predictive: limits of {list(limits)}, but the models' inputs are {inputs}")
+            raise ValueError(
+                f"Predictive: limits of {list(limits)}, but the models' inputs are {inputs}"
+            )
         if found:
             try:
                 pair = [np.broadcast_to(np.asarray(x, float), (len(found),)) for x in limits[name]]
@@ -324,19 +336,29 @@ def _limits(inputs: tuple[str, ...], limits: Mapping[str, tuple]):
                     f"are needed, each a number or {len(found)} of them"
                 ) from None
             if not (np.all(np.isfinite(pair)) and np.all(lowest < highest)):
-                raise ValueError(f"Predictive: limits[{name!r}] = {limits[name]!r}; lowest < highest")
+                raise ValueError(
+                    f"Predictive: limits[{name!r}] = {limits[name]!r}; lowest < highest"
+                )
             low += [(inputs.index(x), v) for x, v in zip(found, lowest)]
             high += [(inputs.index(x), v) for x, v in zip(found, highest)]
     if len(low) != len(inputs):
-        raise ValueError(f"Predictive: the models' inputs {inputs} are not all actuators; linearise with those only")
+        raise ValueError(
+            f"Predictive: the models' inputs {inputs} are not all actuators; linearise with those only"
+        )
     return tuple(jnp.asarray([v for _, v in sorted(x)]) for x in (low, high))
 
 
 def _is(name: str, kind) -> bool:
     """Whether an input of this name is one of the kind."""
     before, after = kind.column.split("{}")
-    return name.startswith(before) and name.endswith(after) and name[len(before) : -len(after)].isdigit()
+    return (
+        name.startswith(before)
+        and name.endswith(after)
+        and name[len(before) : -len(after)].isdigit()
+    )
 
 
 def _delay(delay) -> int:
-    return 0 if isinstance(delay, int) and delay == 0 else whole_number("Predictive", "delay", delay)
+    return (
+        0 if isinstance(delay, int) and delay == 0 else whole_number("Predictive", "delay", delay)
+    )
