@@ -1,7 +1,7 @@
 """Estimation and predictive control of the paper's robot, hanging, against the full model.
 
     python benchmarks/control.py                 # all parts, some minutes
-    python benchmarks/control.py eight --quick   # one of force, consistency, eight, minimum; small
+    python benchmarks/control.py eight --quick   # some of the parts, small
 
 What is true is in all parts a `Stepper` with other steps and another grid than the estimator has.
 Times of cycles are those of the wall and of the processor, on one core.
@@ -232,11 +232,14 @@ def quantiles(name, times):
     return f"{name} {half:.2f} ms, 99 % {most:.2f} ms, worst {times.max():.2f} ms"
 
 
+def on_the_eight(quick):
+    """Seconds, moduli in terms of the true one, and widths."""
+    return (0.2, (0.8,), (0.02,)) if quick else (6.0, (0.8, 1.0, 1.2), (0.02, 0.04))
+
+
 def figure_of_eight(quick):
-    """Predictive control and PI with a modulus that is 20 % off, at 200 Hz."""
-    seconds = 0.2 if quick else 6.0
-    moduli, widths = ((0.8,), (0.02,)) if quick else ((0.8, 1.0, 1.2), (0.02, 0.04))
-    gains = [(0.1, 1.0)] if quick else [(p, i) for p in (0.0, 0.1, 0.3) for i in (0.5, 1, 2, 4)]
+    """Predictive control at 200 Hz with a modulus that is 20 % off."""
+    seconds, moduli, widths = on_the_eight(quick)
     for about, what in ((AROUND[:1], "one model"), (AROUND, "four models")):
         begin, times = predictive(about[:1] if quick else about), []
         for width in widths:
@@ -245,28 +248,32 @@ def figure_of_eight(quick):
                 times.append(own)
                 print(f"{what}, {2e3 * width:.0f} mm wide, modulus x {modulus}: {percent(errors)}")
         wall, own = 1e3 * np.concatenate(times).T
-        shown = quantiles("wall", wall) + ", " + quantiles("processor", own)
+        shown = quantiles("wall", wall) + "; " + quantiles("processor", own)
         print(f"{what}: {wall.size} cycles: {shown}; load {os.getloadavg()[0]:.1f}")
+
+
+def pi_loop(quick):
+    """The same by PI, with the gains of many that are best for the worse of two moduli."""
+    seconds, moduli, widths = on_the_eight(quick)
+    gains = [(p, i) for p in (0.1, 0.3, 0.5, 0.8) for i in (1.0, 2.0, 4.0, 8.0)]
     for ahead in (False, True):
+        found = []
+        for pair in gains[:1] if quick else gains:
+            begin = proportional_integral(*pair, ahead)
+            try:
+                errors = [followed(begin, x, widths[0], seconds)[0] for x in moduli[::2]]
+            except RuntimeError:
+                continue
+            found.append((max(np.sqrt(np.mean(e**2)) for e in errors), pair))
+        pair = min(found)[1]
+        begin = proportional_integral(*pair, ahead)
         for width in widths:
-            best = None
-            for pair in gains:
-                try:
-                    errors = [
-                        followed(proportional_integral(*pair, ahead), m, width, seconds)[0]
-                        for m in moduli[::2]
-                    ]
-                except RuntimeError:
-                    continue
-                worst = max(np.sqrt(np.mean(e**2)) for e in errors)
-                if best is None or worst < best[0]:
-                    best = worst, pair, errors
-            _, pair, errors = best
-            name = "PI with feedforward" if ahead else "PI"
-            print(
-                f"{name} {pair}, {2e3 * width:.0f} mm wide: "
-                + "; ".join(f"modulus x {m}: {percent(e)}" for m, e in zip(moduli[::2], errors))
-            )
+            for modulus in moduli:
+                errors = followed(begin, modulus, width, seconds)[0]
+                print(
+                    f"PI{' with feedforward' if ahead else ''} {pair}, {2e3 * width:.0f} mm wide, "
+                    f"modulus x {modulus}: {percent(errors)}"
+                )
 
 
 def minimum(quick):
@@ -302,7 +309,9 @@ def minimum(quick):
         print("differ by", np.abs(np.subtract(*found.values())).max())
 
 
-PARTS = dict(force=force, consistency=consistency, eight=figure_of_eight, minimum=minimum)
+PARTS = dict(
+    force=force, consistency=consistency, eight=figure_of_eight, pi=pi_loop, minimum=minimum
+)
 
 
 def main():
@@ -311,7 +320,7 @@ def main():
     parser.add_argument("--quick", action="store_true")
     asked = parser.parse_args()
     for name in asked.parts or PARTS:
-        print(f"{name}:")
+        print(f"{name}:", flush=True)
         PARTS[name](asked.quick)
 
 

@@ -10,6 +10,7 @@ through the step as it is, and after what is measured is taken in, the smallest 
 import dataclasses
 import operator
 from collections.abc import Mapping, Sequence
+from typing import Any, cast
 
 import equinox as eqx
 import jax
@@ -21,6 +22,7 @@ from jaxtyping import Array, Float, Int, Real
 from softrod_jax.analysis.near_rest import check_smooth
 from softrod_jax.bvp.collocation import Collocation
 from softrod_jax.bvp.method import AbstractMethod
+from softrod_jax.control.low_rank import beyond, moved, truncated, updated
 from softrod_jax.foundation.compiling import compiled
 from softrod_jax.foundation.numbers import ScalarLike
 from softrod_jax.foundation.precision import require_float64
@@ -29,7 +31,6 @@ from softrod_jax.learning.stepping import Action, RodState, Stepper
 from softrod_jax.rod.constants import full_strain, inner_strain
 from softrod_jax.rod.markers import seen
 from softrod_jax.rod.reduction import clamp_pose, make_rod
-from softrod_jax.rod.rotations import quaternion_product
 from softrod_jax.rod.shape import Pose
 from softrod_jax.scene.checks import checked_scene
 from softrod_jax.scene.inputs import whole_number
@@ -157,7 +158,7 @@ class Estimator(eqx.Module):
 
     @property
     def chosen(self) -> int:
-        """How many numbers are estimated beside the rod's motion."""
+        """How many numbers are estimated beside the rod's motion: the force's, parameters."""
         return 3 * (self.force is not None) + len(self.parameters)
 
     def begin(
@@ -216,47 +217,51 @@ class Estimator(eqx.Module):
         own = [] if self.force is None else [(self.force, 3)]
         return own + [(x, 1) for x in self.parameters.values()]
 
-    def walk(self) -> Float[Array, "chosen"]:
-        """The standard deviations of what is estimated by a step."""
-        force = [] if self.force is None else [self.force_walk * jnp.sqrt(self.stepper.dt)] * 3
-        return jnp.stack([*force, *([jnp.zeros(())] * len(self.parameters))])
 
-    def stepper_with(self, chosen: Float[Array, "chosen"]) -> Stepper:
-        """That of a rod with this force and these logarithms of parameters."""
-        scene = self.stepper.scene
-        count = 3 * (self.force is not None)
-        if count:
-            load = scene.tip_load
-            changed = TipLoad(load.force + chosen[:3], load.moment)
-            scene = dataclasses.replace(scene, tip_load=changed)
-        return dataclasses.replace(self.stepper, scene=self.scaled(scene, chosen[count:]))
+def _walk(estimator: Estimator) -> Float[Array, "chosen"]:
+    """By how much, in a step, what is estimated wanders."""
+    own, dt = jnp.zeros(estimator.chosen), estimator.stepper.dt
+    return own if estimator.force is None else own.at[:3].set(estimator.force_walk * jnp.sqrt(dt))
 
-    def scaled(self, scene: Scene, logs: Float[Array, "parameters"]) -> Scene:
-        """With parameters that are so many times as large, the logarithms of which are given."""
-        for name, x in zip(self.parameters, logs, strict=True):
-            pick = operator.attrgetter(name)
-            scene = eqx.tree_at(pick, scene, pick(scene) * jnp.exp(x))
-        return scene
 
-    def poses(self, stepper: Stepper, state: RodState) -> Pose:
-        """Of what is seen, (markers, 3) and (markers, 4)."""
-        scene, method = stepper.scene, stepper.method
-        grid = method.grid(scene)
-        strain = full_strain(state.strains, make_rod(scene, grid=grid))
-        shape = method.shape(strain, grid, *clamp_pose(scene))
-        every = seen(scene, method.inside(strain), method.outputs(grid.s), *shape)
-        chosen = [every[name] for name in self.sees]
-        return Pose(*(jnp.stack(x) for x in zip(*((p.position, p.quaternion) for p in chosen))))
+def _stepper_with(estimator: Estimator, chosen: Float[Array, "chosen"]) -> Stepper:
+    """That of a rod with this force and these logarithms of parameters."""
+    scene, count = estimator.stepper.scene, estimator.chosen - len(estimator.parameters)
+    if count:
+        load: Any = scene.tip_load
+        changed = TipLoad(load.force + chosen[:count], load.moment)
+        scene = dataclasses.replace(scene, tip_load=changed)
+    scene = _scaled(estimator, scene, chosen[count:])
+    return dataclasses.replace(estimator.stepper, scene=scene)
+
+
+def _scaled(estimator: Estimator, scene: Scene, logs: Float[Array, "parameters"]) -> Scene:
+    """With parameters that are so many times as large, the logarithms of which are given."""
+    for name, x in zip(estimator.parameters, logs, strict=True):
+        pick = operator.attrgetter(name)
+        scene = eqx.tree_at(pick, scene, pick(scene) * jnp.exp(x))
+    return scene
+
+
+def _poses(estimator: Estimator, stepper: Stepper, state: RodState) -> Pose:
+    """Of what is seen, (markers, 3) and (markers, 4)."""
+    scene, method = stepper.scene, stepper.method
+    grid = method.grid(scene)
+    strain = full_strain(state.strains, make_rod(scene, grid=grid))
+    shape = method.shape(strain, grid, *clamp_pose(scene))
+    every = seen(scene, method.inside(strain), method.outputs(grid.s), *shape)
+    poses = [every[name] for name in estimator.sees]
+    return jax.tree.map(lambda *x: jnp.stack(x), *poses)
 
 
 @compiled
 def _slope(estimator: Estimator, initial: StaticSolution, action: Action):
     """How the strains of an equilibrium follow the logarithms of the parameters."""
-    method = estimator.stepper.method
+    method, acting = estimator.stepper.method, cast(Any, action)
 
     def strains(logs):
-        scene = estimator.scaled(estimator.scene, logs)
-        found = solve_static(scene, *action, before=initial, method=method, throw=False)
+        scene = _scaled(estimator, estimator.scene, logs)
+        found = solve_static(scene, *acting, before=initial, method=method, throw=False)
         return inner_strain(found.point_strains, make_rod(scene, grid=method.grid(scene))).ravel()
 
     return jax.jacfwd(strains)(jnp.zeros(len(estimator.parameters)))
@@ -271,19 +276,19 @@ def _step(estimator: Estimator, estimate: Estimate, action: Action, measured: Po
     chosen = jnp.concatenate([*force, *logs])
 
     def after(x, chosen):
-        stepper = estimator.stepper_with(chosen)
+        stepper = _stepper_with(estimator, chosen)
         end = stepper.step(_with_fields(state, as_fields(x)), action)
-        pose = estimator.poses(stepper, end)
-        return (ravel_pytree(end.memory[0])[0], _moved(pose)), (end, pose)
+        pose = _poses(estimator, stepper, end)
+        return (ravel_pytree(end.memory[0])[0], moved(pose)), (end, pose)
 
     _, along, (end, pose) = jax.linearize(after, x, chosen, has_aux=True)
-    walk = jnp.concatenate([jnp.zeros((x.size, dim)), jnp.diag(estimator.walk())])
+    walk = jnp.concatenate([jnp.zeros((x.size, dim)), jnp.diag(_walk(estimator))])
     root = jnp.concatenate([estimate.root, walk], 1)
     fields, Y = jax.vmap(lambda a, b: along(a, b), in_axes=1, out_axes=1)(
         root[: x.size], root[x.size :]
     )
     root = jnp.concatenate([fields, root[x.size :]])
-    change, root, surprise = updated(root, Y, _beyond(pose, measured), _precision(estimator))
+    change, root, surprise = updated(root, Y, beyond(pose, measured), _precision(estimator))
     root = truncated(root, _sizes(root, dim, end.memory[0]), estimator.rank)
     mean = ravel_pytree(end.memory[0])[0] + change[: x.size]
     # What is only too coarse a grid for a moment is no failure.
@@ -301,39 +306,6 @@ def _step(estimator: Estimator, estimate: Estimate, action: Action, measured: Po
         surprise=keep(surprise, 0.0),
         forces=estimate.forces,
     )
-
-
-def updated(
-    root: Float[Array, "n r"],
-    Y: Float[Array, "p r"],
-    beyond: Float[Array, "p"],
-    precision: Float[Array, "p"],
-) -> tuple[Float[Array, "n"], Float[Array, "n r"], Float[Array, ""]]:
-    """The change of the mean, the root afterwards, and the square of what was not expected.
-
-    - `Y`: what is seen along each column of `root`; `beyond`: what was measured beyond what was
-      expected, NaN where nothing was; `precision`: one over the standard deviations of the noise.
-
-    With M = 1 + Y^T R^-1 Y, which is as small as the root is narrow, the gain is S M^-1 Y^T R^-1
-    and the root S M^-1/2.
-    """
-    present = jnp.isfinite(beyond)
-    r = jnp.where(present, beyond, 0.0) * precision
-    Y = jnp.where(present[:, None], Y, 0.0) * precision[:, None]
-    values, vectors = jnp.linalg.eigh(jnp.eye(Y.shape[1]) + Y.T @ Y)
-    values = jnp.maximum(values, 1.0)
-    weights = vectors @ ((vectors.T @ (Y.T @ r)) / values)
-    surprise = jnp.sum(r**2) - (Y.T @ r) @ weights
-    return root @ weights, root @ (vectors / jnp.sqrt(values)), surprise
-
-
-def truncated(
-    root: Float[Array, "n r"], sizes: Float[Array, "n"], rank: int
-) -> Float[Array, "n rank"]:
-    """The root with the `rank` columns that say most of it, each row in terms of its size."""
-    scaled = root / sizes[:, None]
-    _, vectors = jnp.linalg.eigh(scaled.T @ scaled)
-    return root @ vectors[:, ::-1][:, :rank]
 
 
 def _sizes(root, dim, fields) -> Float[Array, "n"]:
@@ -357,29 +329,6 @@ def _with_fields(state: RodState, fields) -> RodState:
 
 def _precision(estimator: Estimator) -> Float[Array, "p"]:
     return jnp.tile(jnp.repeat(1 / estimator.noise, 3), len(estimator.sees))
-
-
-def _moved(pose: Pose) -> Float[Array, "p"]:
-    """Positions and, with the derivative only, rotations about the base's axes, by markers."""
-    back = jax.lax.stop_gradient(_conjugate(pose.quaternion))
-    turned = 2 * quaternion_product(pose.quaternion, back)[:, 1:]
-    return jnp.concatenate([pose.position, turned], 1).ravel()
-
-
-def _beyond(pose: Pose, measured: Pose) -> Float[Array, "p"]:
-    """How far, and turned by which vector [rad], what is measured is from what is expected."""
-    h = measured.quaternion / jnp.linalg.norm(measured.quaternion, axis=1, keepdims=True)
-    turn = quaternion_product(h, _conjugate(pose.quaternion))
-    turn = jnp.where(turn[:, :1] < 0, -turn, turn)
-    sine = jnp.linalg.norm(turn[:, 1:], axis=1, keepdims=True)
-    small = sine < 1e-8
-    angle = 2 * jnp.arctan2(jnp.where(small, 1.0, sine), turn[:, :1])
-    vector = jnp.where(small, 2.0, angle / jnp.where(small, 1.0, sine)) * turn[:, 1:]
-    return jnp.concatenate([measured.position - pose.position, vector], 1).ravel()
-
-
-def _conjugate(h):
-    return h * jnp.array([1.0, -1.0, -1.0, -1.0])
 
 
 def _positive(name: str, value, least: bool = False) -> Float[Array, ""]:

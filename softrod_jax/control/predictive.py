@@ -15,40 +15,21 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-import scipy.linalg
 from jaxtyping import Array, Float, Real
 
 from softrod_jax.analysis.least_effort import bounded_minimum
 from softrod_jax.analysis.linear import LinearModel
+from softrod_jax.control.local_models import Local, local_model, polygon, spacing
 from softrod_jax.foundation.compiling import compiled
 from softrod_jax.foundation.numbers import ScalarLike
 from softrod_jax.scene.inputs import KINDS, whole_number
 
 # The cost counts the outputs this many times within the horizon.
 _SEEN = 15
-# What an input costs, in terms of what a change of it does. Where several inputs do the same, those
-# of least effort are found within some cycles.
+# What an input costs, in terms of what a change of it does, as far as it moves no output. Where
+# several inputs do the same, those of least effort are found within some cycles.
 _LASTING = 0.1
-
-
-class Local(NamedTuple):
-    """One model, discrete in time, with its observer; stacked, all of them.
-
-    x(k + 1) = F x(k) + G (u(k) + u(k + 1)) / 2, as inputs are ramps; y(k) = C x(k) + D u(k). The
-    disturbances are the last entries of x. All are differences to the equilibrium, `u0` and `y0`.
-    `gain`: of the observer. The outputs to come, (ahead p,), are `free` times x and the last input
-    that is decided on, and `forced` times the corners of the polygon, (corners m,).
-    """
-
-    F: Float[Array | np.ndarray, "*models n n"]
-    G: Float[Array | np.ndarray, "*models n m"]
-    C: Float[Array | np.ndarray, "*models p n"]
-    D: Float[Array | np.ndarray, "*models p m"]
-    gain: Float[Array | np.ndarray, "*models n p"]
-    u0: Float[Array | np.ndarray, "*models m"]
-    y0: Float[Array | np.ndarray, "*models p"]
-    free: Float[Array | np.ndarray, "*models seen state"]
-    forced: Float[Array | np.ndarray, "*models seen decided"]
+_SINGULAR = 1e-10
 
 
 class Control(NamedTuple):
@@ -133,12 +114,12 @@ class Predictive(eqx.Module):
             )
         seen = np.unique(np.round(np.linspace(1, steps, _SEEN)).astype(int))
         self.times = jnp.asarray((self.delay + seen) * float(dt))
-        between = _polygon(steps, corners)
+        between = polygon(steps, corners)
         how = float(dt), float(noise), float(drift)
-        every = [_local(model, list(self.outputs), how, seen, between) for model in models]
+        every = [local_model(model, list(self.outputs), how, seen, between) for model in models]
         self.locals = jax.tree.map(lambda *x: jnp.asarray(np.stack(x)), *every)
         self.effort = jnp.asarray(effort, dtype=float)
-        self.width = jnp.asarray(_spacing(np.asarray(self.locals.y0)))
+        self.width = jnp.asarray(spacing(np.asarray(self.locals.y0)))
 
     def begin(
         self,
@@ -222,9 +203,9 @@ def _step(controller: Predictive, control: Control, measured, reference):
     )
     forced = jnp.tensordot(weights, models.forced, 1)
     now = jnp.clip(plan, controller.low, controller.high)
-    u = _planned(
-        controller, forced, weights @ free - reference.ravel(), queue[-1] / width, now / width
-    )
+    still = jnp.tensordot(weights, models.still, 1)
+    missed = weights @ free - reference.ravel()
+    u = _planned(controller, forced, still, missed, queue[-1] / width, now / width)
     u = u * width
     chosen = jnp.clip(u[0], controller.low, controller.high)
     queue = jnp.concatenate([queue, chosen[None]])
@@ -233,8 +214,11 @@ def _step(controller: Predictive, control: Control, measured, reference):
     return chosen, Control(jax.vmap(go)(models, x), queue[1:], u)
 
 
-def _planned(controller: Predictive, forced, missed, last, now):
-    """The corners of least cost, in terms of ranges; `now`: where the search begins."""
+def _planned(controller: Predictive, forced, still, missed, last, now):
+    """The corners of least cost, in terms of ranges; `now`: where the search begins.
+
+    `still`: the static gain.
+    """
     corners, m = now.shape
     low, high = controller.low, controller.high
     J = forced * jnp.tile(high - low, corners) / np.sqrt(len(controller.times))
@@ -242,58 +226,17 @@ def _planned(controller: Predictive, forced, missed, last, now):
     change = np.kron(np.eye(corners) - np.eye(corners, k=-1), np.eye(m))
     steps = change @ now.ravel() - jnp.concatenate([last, jnp.zeros((corners - 1) * m)])
     weight = controller.effort**2
-    lasting = _LASTING**2 * weight
+    # What no output follows from has its own cost, so that outputs are not off for the effort.
+    K = still * (high - low)
+    both = K @ K.T
+    idle = K.T @ jnp.linalg.solve(both + _SINGULAR * jnp.trace(both) * np.eye(len(K)), K)
+    idle = jnp.kron(np.eye(corners), _LASTING**2 * weight * (np.eye(m) - idle))
     rest = now - jnp.clip(0.0, low, high) / (high - low)
-    H = J.T @ J + weight * change.T @ change + lasting * np.eye(corners * m)
-    g = J.T @ r + weight * change.T @ steps + lasting * rest.ravel()
+    H = J.T @ J + weight * change.T @ change + idle
+    g = J.T @ r + weight * change.T @ steps + idle @ rest.ravel()
     ends = (jnp.tile(x / (high - low), corners) - now.ravel() for x in (low, high))
     scale = jnp.max(jnp.abs(jnp.diagonal(H)))
     return now + bounded_minimum(H / scale, g / scale, *ends).reshape(corners, m)
-
-
-def _local(model: LinearModel, outputs: list[int], how, seen, between) -> Local:
-    """`how`: the cycle, the noise, the drift; `seen`: which cycles of the horizon count."""
-    dt, noise, drift = how
-    F, G = (np.asarray(x) for x in model.discrete(dt))
-    C, D = np.asarray(model.C)[outputs], np.asarray(model.D)[outputs]
-    n, m, p = len(F), G.shape[1], len(outputs)
-    F = scipy.linalg.block_diag(F, np.eye(p))
-    G, C = np.concatenate([G, np.zeros((p, m))]), np.concatenate([C, np.eye(p)], 1)
-    # What shakes the states comes in as inputs do, as much of it as moves the outputs by `drift`.
-    static = np.asarray(model.static_gain)[outputs]
-    shaken = G[:n] @ (drift / np.linalg.norm(static, axis=0).clip(1e-300)[:, None] * np.eye(m))
-    Q = scipy.linalg.block_diag(
-        shaken @ shaken.T + 1e-12 * noise**2 * np.eye(n), drift**2 * dt * np.eye(p)
-    )
-    P = scipy.linalg.solve_discrete_are(F.T, C.T, Q, noise**2 * np.eye(p))
-    gain = np.linalg.solve(C @ P @ C.T + noise**2 * np.eye(p), C @ P).T
-    steps, corners = between.shape
-    # The state after each step, by the state, the last input and the corners.
-    by = np.concatenate([np.eye(n + p), np.zeros((n + p, m + corners * m))], 1)
-    inputs = np.zeros((steps + 1, m, by.shape[1]))
-    inputs[0, :, n + p : n + p + m] = np.eye(m)
-    inputs[1:, :, n + p + m :] = np.kron(between, np.eye(m)).reshape(steps, m, corners * m)
-    rows = []
-    for k in range(1, steps + 1):
-        by = F @ by + G @ (0.5 * (inputs[k - 1] + inputs[k]))
-        if k in seen:
-            rows.append(C @ by + D @ inputs[k])
-    rows = np.concatenate(rows)
-    u0, y0 = np.asarray(model.u0), np.asarray(model.y0)[outputs]
-    return Local(F, G, C, D, gain, u0, y0, rows[:, : n + p + m], rows[:, n + p + m :])
-
-
-def _polygon(steps: int, corners: int) -> np.ndarray:
-    """(steps, corners): inputs after each step from corners, closer together at first."""
-    at = 1 + (steps - 1) * (np.arange(corners) / max(corners - 1, 1)) ** 2
-    k = np.arange(1, steps + 1)
-    return np.stack([np.interp(k, at, row) for row in np.eye(corners)], 1)
-
-
-def _spacing(y0: np.ndarray) -> float:
-    """How far equilibria are from their nearest neighbours, half the median."""
-    apart = np.linalg.norm(y0[:, None] - y0[None], axis=2) + np.diag(np.full(len(y0), np.inf))
-    return max(0.5 * float(np.median(apart.min(1))), 1e-9) if len(y0) > 1 else 1.0
 
 
 def _check_alike(models: list[LinearModel]) -> None:
@@ -307,8 +250,8 @@ def _check_alike(models: list[LinearModel]) -> None:
         if not same or model.A.shape != first.A.shape:
             raise ValueError(
                 f"Predictive: models of {first.inputs} to {first.outputs} with {first.A.shape[0]} "
-                f"states and of {model.inputs} to {model.outputs} with {model.A.shape[0]}; the same "
-                "are needed"
+                f"states and of {model.inputs} to {model.outputs} with {model.A.shape[0]}; "
+                "give them the same"
             )
 
 
@@ -332,8 +275,8 @@ def _limits(inputs: tuple[str, ...], limits: Mapping[str, tuple]):
                 lowest, highest = pair
             except (TypeError, ValueError):
                 raise ValueError(
-                    f"Predictive: limits[{name!r}] = {limits[name]!r}; a lowest and a highest value "
-                    f"are needed, each a number or {len(found)} of them"
+                    f"Predictive: limits[{name!r}] = {limits[name]!r}; a lowest and a highest "
+                    f"value are needed, each a number or {len(found)} of them"
                 ) from None
             if not (np.all(np.isfinite(pair)) and np.all(lowest < highest)):
                 raise ValueError(
@@ -343,7 +286,8 @@ def _limits(inputs: tuple[str, ...], limits: Mapping[str, tuple]):
             high += [(inputs.index(x), v) for x, v in zip(found, highest)]
     if len(low) != len(inputs):
         raise ValueError(
-            f"Predictive: the models' inputs {inputs} are not all actuators; linearise with those only"
+            f"Predictive: the models' inputs {inputs} are not all actuators; give linearise "
+            "actuators only"
         )
     return tuple(jnp.asarray([v for _, v in sorted(x)]) for x in (low, high))
 

@@ -5,7 +5,7 @@ equinox module has that of its numbers, and arrays have none.
 """
 
 from collections.abc import Callable
-from typing import Any, TypeVar, cast
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import equinox as eqx
 import jax
@@ -44,6 +44,12 @@ class _Binding:
         return self.method if owner is None else _Bound(self.method, owner)
 
 
-def hashable(method: Method) -> Method:
-    """Decorates a method of an equinox module, whose arrays become constants under `jax.jit`."""
-    return cast(Method, _Binding(method))
+if TYPE_CHECKING:
+
+    def hashable(method: Method) -> Method:
+        """For who reads types, the method itself."""
+        return method
+
+else:
+    # A decorator of an equinox module's method, whose arrays become constants under `jax.jit`.
+    hashable = _Binding
