@@ -117,7 +117,7 @@ class Estimator(eqx.Module):
         rank: int = 24,
         substeps: int = 1,
         scheme: AbstractTimeScheme = SDIRK(),  # noqa: B008
-        method: AbstractMethod = Collocation(6, order=6),  # noqa: B008
+        method: AbstractMethod = Collocation(8, order=6),  # noqa: B008
     ):
         require_float64("Estimator")
         scene = checked_scene("Estimator", scene)

@@ -438,6 +438,6 @@ def test_methods_are_functions_that_jit_takes():
     assert stepper.step == stepper.step and hash(stepper.step) == hash(stepper.step)
     other = Stepper(SCENE, 2 * DT, scheme=sr.SDIRK(2), method=GRID)
     assert stepper.step != other.step and stepper.step != stepper.view
-    compiled = jax.jit(stepper.step)
-    ours, theirs = compiled(state, action), stepper.step(state, action)
-    np.testing.assert_allclose(ours.strains, theirs.strains, atol=1e-12)
+    jax.jit(stepper.step).lower(state, action)
+    ours, theirs = jax.jit(stepper.view)(state), stepper.view(state)
+    np.testing.assert_allclose(ours.positions, theirs.positions, atol=1e-14)
