@@ -98,6 +98,8 @@ class Predictive(eqx.Module):
                 raise ValueError(f"Predictive: {name}={x}; a positive number is needed")
         names = models[0].outputs
         chosen = [x for x in names if x.endswith("_m")] if outputs is None else list(outputs)
+        if not chosen:
+            raise ValueError(f"Predictive: outputs={outputs}; at least one is needed of {names}")
         for name in chosen:
             if name not in names:
                 raise ValueError(f"Predictive: output {name!r} is not one of the models: {names}")
