@@ -262,7 +262,7 @@ def figure_of_eight(quick):
 def pi_loop(quick):
     """The same by PI, with the gains of many that are best for the worse of two moduli."""
     seconds, moduli, widths = on_the_eight(quick)
-    gains = [(p, i) for p in (0.3, 0.5, 0.8, 1.2) for i in (1.0, 2.0, 4.0, 8.0)]
+    gains = [(p, i) for p in (0.5, 1.0, 2.0, 4.0) for i in (1.0, 4.0, 8.0, 16.0)]
     for ahead in (False, True):
         found = []
         for pair in gains[:1] if quick else gains:
