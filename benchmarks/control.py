@@ -244,16 +244,15 @@ def on_the_eight(quick):
 def figure_of_eight(quick):
     """Predictive control at 200 Hz with a modulus that is 20 % off."""
     seconds, moduli, widths = on_the_eight(quick)
+    seeds = 1 if quick else 3
     for about, what in ((AROUND[:1], "one model"), (AROUND, "four models")):
         begin, times = predictive(about[:1] if quick else about), []
         for width in widths:
             for modulus in moduli:
-                errors, own = followed(begin, modulus, width, seconds)
-                times.append(own)
-                print(
-                    f"{what}, {2e3 * width:.0f} mm wide, modulus x {modulus}: {percent(errors)}",
-                    flush=True,
-                )
+                runs = [followed(begin, modulus, width, seconds, seed) for seed in range(seeds)]
+                times += [own for _, own in runs]
+                each = "; ".join(percent(errors) for errors, _ in runs)
+                print(f"{what}, {2e3 * width:.0f} mm wide, modulus x {modulus}: {each}", flush=True)
         wall, own = 1e3 * np.concatenate(times).T
         shown = quantiles("wall", wall) + "; " + quantiles("processor", own)
         print(f"{what}: {wall.size} cycles: {shown}; load {os.getloadavg()[0]:.1f}")

@@ -1,6 +1,8 @@
 """Predictive control: its quadratic problem, its observer, and loops with offsets and limits."""
 
 import dataclasses
+import sys
+from pathlib import Path
 
 import jax
 import jax.numpy as jnp
@@ -11,6 +13,10 @@ import scipy.optimize
 
 import softrod_jax as sr
 from softrod_jax.analysis.least_effort import bounded_minimum
+
+sys.path.insert(0, str(Path(__file__).parents[2] / "benchmarks"))
+
+import control as benchmark  # noqa: E402
 
 METHOD = sr.Collocation(6)
 DT, LIMITS = 0.01, {"tensions": (0.0, 0.2), "pressures": (-1e4, 1e4)}
@@ -166,3 +172,15 @@ def test_bad_input(models, wrong_types):
     control = controller.begin(model.u0, model.y0)
     with pytest.raises(ValueError, match=r"reference \(2,\)"):
         controller.step(control, np.zeros(2), np.zeros(2))
+
+
+def test_what_it_is_compared_with(capsys):
+    """PI asks for no tension more than it needs, and for none beyond the limit; errors in parts."""
+    decide = benchmark.proportional_integral(1.0, 1.0, True)(0.02)
+    tensions = [decide(k, np.zeros(2)) for k in range(50)]
+    assert np.min(tensions) == 0.0 and 0.1 < np.max(tensions) <= benchmark.LIMIT
+    assert np.all(np.min(tensions, 1) == 0.0)
+    np.testing.assert_allclose(benchmark.eight([0.0, 0.5]), [[0, 0], [0.02, 0]], atol=1e-12)
+    assert benchmark.percent(np.array([1e-3, 1e-3])) == "1.00 % rms, 1.00 % at most"
+    benchmark.minimum(quick=True)
+    assert "active sets" in capsys.readouterr().out
