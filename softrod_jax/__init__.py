@@ -11,6 +11,8 @@ from softrod_jax.analysis.sensitivities import compliance as compliance
 from softrod_jax.bvp.collocation import Collocation as Collocation
 from softrod_jax.bvp.newton import NewtonOptions as NewtonOptions
 from softrod_jax.bvp.shooting import Shooting as Shooting
+from softrod_jax.control.estimation import Estimator as Estimator
+from softrod_jax.control.predictive import Predictive as Predictive
 from softrod_jax.dynamics import Trajectory as Trajectory
 from softrod_jax.dynamics import simulate as simulate
 from softrod_jax.foundation.results import RESULTS as RESULTS

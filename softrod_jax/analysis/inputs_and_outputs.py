@@ -6,6 +6,7 @@ from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 from jax.flatten_util import ravel_pytree
+from jaxtyping import Array, Float
 
 from softrod_jax.analysis.near_rest import Applied, NearRest, check_smooth, near_rest
 from softrod_jax.analysis.seen import names_of
@@ -59,8 +60,8 @@ def at_equilibrium(
     return near_rest(scene, values, solution), names, solution
 
 
-def applied_by(near: NearRest, kinds: tuple[str, ...]) -> tuple[Callable, int]:
-    """What acts as a function of the changes of these inputs, (m,), and how many they are."""
+def applied_by(near: NearRest, kinds: tuple[str, ...]) -> tuple[Callable, Float[Array, "m"]]:
+    """What acts as a function of the changes of these inputs, (m,), and what they are now."""
     applied = near.applied
     values = [getattr(applied if x in _TIP else applied.inputs, x) for x in kinds]
     now, as_values = ravel_pytree(values)
@@ -71,7 +72,7 @@ def applied_by(near: NearRest, kinds: tuple[str, ...]) -> tuple[Callable, int]:
         others = {name: x for name, x in new.items() if name not in _TIP}
         return applied._replace(inputs=applied.inputs._replace(**others), **at_tip)
 
-    return changed, now.size
+    return changed, now
 
 
 def _with_tip_load(scene: Scene) -> Scene:

@@ -30,7 +30,8 @@ class LinearModel(eqx.Module):
 
     - `E`, `A`, (n, n), `B`, (n, m), `C`, (p, n), `D`, (p, m). `inputs` and `outputs`: a name with
       its unit for each of u and y, which are differences to their values in the equilibrium.
-    - `equilibrium`: the `StaticSolution`.
+    - `equilibrium`: the `StaticSolution`; `u0`, (m,), and `y0`, (p,): the inputs and the outputs
+      there. Rotations are zero there.
 
     As `linearise` makes it, it is a descriptor model: E is singular, for it has all strains and
     velocities along the rod, many of which follow from others at once. `reduced` is a model in
@@ -43,6 +44,8 @@ class LinearModel(eqx.Module):
     C: Float[Array, "p n"]
     D: Float[Array, "p m"]
     equilibrium: StaticSolution
+    u0: Float[Array, "m"]
+    y0: Float[Array, "p"]
     inputs: tuple[str, ...] = eqx.field(static=True)
     outputs: tuple[str, ...] = eqx.field(static=True)
     descriptor: bool = eqx.field(static=True, default=True)
@@ -146,17 +149,18 @@ def linearise(
     chosen = Chosen("linearise", inputs, outputs)
     solving = dict(before=before, method=method, newton=newton, throw=throw)
     near, names, solution = at_equilibrium(scene, acting, chosen, **solving)
-    E, B, C, D = _matrices(near, names.inputs, names.outputs)
+    E, B, C, D, u0, y0 = _matrices(near, names.inputs, names.outputs)
     eye = jnp.eye(E.shape[0])
-    return LinearModel(E, eye, B, C, D, solution, names.of_inputs, names.of_outputs)
+    return LinearModel(E, eye, B, C, D, solution, u0, y0, names.of_inputs, names.of_outputs)
 
 
 @compiled
 def _matrices(near: NearRest, inputs: tuple[str, ...], outputs: tuple[str, ...]):
-    """E, B, C and D of the model: its state is that with a history, and the outputs with it."""
+    """E, B, C, D, u0 and y0 of the model: its state is that with a history, and the outputs."""
     ravel = lambda x: ravel_pytree(x)[0]
     rest, as_rates = ravel_pytree(near.at_rest)
-    applied, m = applied_by(near, inputs)
+    applied, u0 = applied_by(near, inputs)
+    m = u0.size
     n, values = rest.size, observed(near, outputs)
 
     def seen(unknowns, rates, applied):
@@ -172,4 +176,5 @@ def _matrices(near: NearRest, inputs: tuple[str, ...], outputs: tuple[str, ...])
     ).T
     p = columns.shape[0] - n
     E = jnp.concatenate([columns[:, :n], jnp.zeros((n + p, p))], 1)
-    return E, -columns[:, n:], jnp.eye(p, n + p, n), jnp.zeros((p, m))
+    y0 = seen(near.unknowns, near.at_rest, near.applied)[n:]
+    return E, -columns[:, n:], jnp.eye(p, n + p, n), jnp.zeros((p, m)), u0, y0

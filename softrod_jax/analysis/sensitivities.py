@@ -71,11 +71,11 @@ def actuation_jacobian(
 
 @compiled
 def _gain(near: NearRest, inputs: tuple[str, ...], outputs: tuple[str, ...]):
-    applied, m = applied_by(near, inputs)
+    applied, now = applied_by(near, inputs)
     values = observed(near, outputs)
     still = near.at_rest
 
     def seen(unknowns, rates, applied):
         return values(near.fields(unknowns, rates, applied)[1], applied)
 
-    return near.along(jnp.eye(m), seen, near.following(), lambda z: still, applied).T
+    return near.along(jnp.eye(now.size), seen, near.following(), lambda z: still, applied).T

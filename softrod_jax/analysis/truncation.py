@@ -16,6 +16,8 @@ from jaxtyping import Float
 _FAST = 1e4, 1e7
 # Of Hankel singular values, relative to the largest: below is rounding.
 _NOTHING = 1e-13
+# Of the sizes of outputs, or inputs, in the static gain, relative to the largest: likewise.
+_NO_GAIN = 1e-10
 # What decays more slowly than this part of the slowest motion is not damped.
 _UNDAMPED = 1e-3
 # Poles that grow and are this many times faster than the slowest one are the grid's.
@@ -62,7 +64,8 @@ def balanced(E: Matrix, B: Matrix, C: Matrix, D: Matrix, states: int) -> StateSp
     window = max(0.0, worst + 0.1 * slow) if worst > -_UNDAMPED * slow else 0.0
     A = whole.A - window * np.eye(len(whole.A))
     gain = np.abs(D - C @ B)
-    nonzero = lambda x: np.where(x > 0, x, 1.0)
+    # What does not follow by symmetry does not count: its size is that of rounding.
+    nonzero = lambda x: np.where(x > _NO_GAIN * np.max(x), x, np.max(x) or 1.0)
     of_outputs = nonzero(gain.max(1))
     of_inputs = nonzero((gain / of_outputs[:, None]).max(0))
     inputs, outputs = whole.B / of_inputs, whole.C / of_outputs[:, None]

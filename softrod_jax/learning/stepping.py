@@ -21,6 +21,7 @@ from softrod_jax.foundation.compiling import compiled
 from softrod_jax.foundation.numbers import ScalarLike
 from softrod_jax.foundation.precision import require_float64
 from softrod_jax.foundation.results import RESULTS, without_derivative
+from softrod_jax.learning.bound import hashable
 from softrod_jax.rod.constants import full_strain
 from softrod_jax.rod.given_lengths import tensions_of
 from softrod_jax.rod.reduction import clamp_pose, make_rod
@@ -174,6 +175,7 @@ class Stepper(eqx.Module):
         action = self._checked("Stepper.reset", Action() if action is None else action, ndim=1)
         return _reset(self, initial, action)
 
+    @hashable
     def step(self, state: RodState, action: Action, jump=None) -> RodState:
         """The state one `dt` later.
 
@@ -190,6 +192,7 @@ class Stepper(eqx.Module):
         action = self._checked("Stepper.step", action, ndim=1)
         return _step(self, state, action, state.jumps if jump is None else jnp.asarray(jump))
 
+    @hashable
     def rollout(
         self,
         state: RodState,
@@ -211,6 +214,7 @@ class Stepper(eqx.Module):
             )
         return _rollout(self, state, actions, jumps)
 
+    @hashable
     def view(self, state: RodState) -> RodView:
         """Where the rod is, and how it moves."""
         self._own("Stepper.view", state)

@@ -430,3 +430,16 @@ def test_without_gymnasium_the_error_names_the_extra():
     )
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
     assert done.returncode != 0 and "softrod_jax[learning]" in done.stderr
+
+
+def test_methods_are_functions_that_jit_takes():
+    """One program for one stepper, another for one with other numbers."""
+    stepper = Stepper(SCENE, DT, scheme=sr.SDIRK(2), method=GRID)
+    action = Action(jnp.array([0.1, 0.0, 0.0]), jnp.zeros(1))
+    state = stepper.reset()
+    assert stepper.step == stepper.step and hash(stepper.step) == hash(stepper.step)
+    other = Stepper(SCENE, 2 * DT, scheme=sr.SDIRK(2), method=GRID)
+    assert stepper.step != other.step and stepper.step != stepper.view
+    jax.jit(stepper.step).lower(state, action)
+    ours, theirs = jax.jit(stepper.view)(state), stepper.view(state)
+    np.testing.assert_allclose(ours.positions, theirs.positions, atol=1e-14)

@@ -1,0 +1,64 @@
+"""Kalman's update of a covariance that is kept as a narrow root, and differences of poses."""
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from softrod_jax.rod.rotations import quaternion_product
+from softrod_jax.rod.shape import Pose
+
+
+def updated(
+    root: Float[Array, "n r"],
+    Y: Float[Array, "p r"],
+    beyond: Float[Array, "p"],
+    precision: Float[Array, "p"],
+) -> tuple[Float[Array, "n"], Float[Array, "n r"], Float[Array, ""]]:
+    """The change of the mean, the root afterwards, and the square of what was not expected.
+
+    - `Y`: what is seen along each column of `root`; `beyond`: what was measured beyond what was
+      expected, NaN where nothing was; `precision`: one over the standard deviations of the noise.
+
+    With M = 1 + Y^T R^-1 Y, which is as small as the root is narrow, the gain is S M^-1 Y^T R^-1
+    and the root S M^-1/2.
+    """
+    present = jnp.isfinite(beyond)
+    r = jnp.where(present, beyond, 0.0) * precision
+    Y = jnp.where(present[:, None], Y, 0.0) * precision[:, None]
+    values, vectors = jnp.linalg.eigh(jnp.eye(Y.shape[1]) + Y.T @ Y)
+    values = jnp.maximum(values, 1.0)
+    weights = vectors @ ((vectors.T @ (Y.T @ r)) / values)
+    surprise = jnp.sum(r**2) - (Y.T @ r) @ weights
+    return root @ weights, root @ (vectors / jnp.sqrt(values)), surprise
+
+
+def truncated(
+    root: Float[Array, "n r"], sizes: Float[Array, "n"], rank: int
+) -> Float[Array, "n rank"]:
+    """The root with the `rank` columns that say most of it, each row in terms of its size."""
+    scaled = root / sizes[:, None]
+    _, vectors = jnp.linalg.eigh(scaled.T @ scaled)
+    return root @ vectors[:, ::-1][:, :rank]
+
+
+def moved(pose: Pose) -> Float[Array, "p"]:
+    """Positions and, with the derivative only, rotations about the base's axes, by markers."""
+    back = jax.lax.stop_gradient(_conjugate(pose.quaternion))
+    turned = 2 * quaternion_product(pose.quaternion, back)[:, 1:]
+    return jnp.concatenate([pose.position, turned], 1).ravel()
+
+
+def beyond(pose: Pose, measured: Pose) -> Float[Array, "p"]:
+    """How far, and turned by which vector [rad], what is measured is from what is expected."""
+    h = measured.quaternion / jnp.linalg.norm(measured.quaternion, axis=1, keepdims=True)
+    turn = quaternion_product(h, _conjugate(pose.quaternion))
+    turn = jnp.where(turn[:, :1] < 0, -turn, turn)
+    sine = jnp.linalg.norm(turn[:, 1:], axis=1, keepdims=True)
+    small = sine < 1e-8
+    angle = 2 * jnp.arctan2(jnp.where(small, 1.0, sine), turn[:, :1])
+    vector = jnp.where(small, 2.0, angle / jnp.where(small, 1.0, sine)) * turn[:, 1:]
+    return jnp.concatenate([measured.position - pose.position, vector], 1).ravel()
+
+
+def _conjugate(h):
+    return h * jnp.array([1.0, -1.0, -1.0, -1.0])

@@ -1,0 +1,127 @@
+"""The filter against Riccati's equation, and its errors against its covariances."""
+
+import sys
+from pathlib import Path
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+import scipy.linalg
+from scipy.stats import chi2
+
+import softrod_jax as sr
+from softrod_jax.control.low_rank import beyond, truncated, updated
+from softrod_jax.learning import Action
+from softrod_jax.rod.rotations import quaternion_exp, quaternion_product
+from softrod_jax.rod.shape import Pose
+
+sys.path.insert(0, str(Path(__file__).parents[2] / "benchmarks"))
+
+import control  # noqa: E402
+
+ROBOT, GRID = control.ROBOT, sr.Collocation(4, order=6)
+
+
+def test_narrow_roots_end_in_the_solution_of_riccatis_equation():
+    """Of a system that four directions are enough for, though it has twelve states."""
+    rng = np.random.default_rng(0)
+    F = np.zeros((12, 12))
+    F[:4, :4] = 0.9 * np.linalg.qr(rng.standard_normal((4, 4)))[0]
+    turn = np.linalg.qr(rng.standard_normal((12, 12)))[0]
+    F = turn @ F @ turn.T
+    L = 0.3 * turn[:, :4] @ rng.standard_normal((4, 2))
+    H, R = rng.standard_normal((3, 12)), np.diag([0.04, 0.09, 0.01])
+    root = jnp.zeros((12, 4))
+    for _ in range(200):
+        wide = jnp.concatenate([F @ root, L], 1)
+        precision = 1 / np.sqrt(np.diag(R))
+        change, wide, _ = updated(wide, H @ wide, jnp.array([1.0, 2.0, 3.0]), precision)
+        root = truncated(wide, jnp.ones(12), 4)
+    P = scipy.linalg.solve_discrete_are(F.T, H.T, L @ L.T, R)
+    gain = P @ H.T @ np.linalg.inv(H @ P @ H.T + R)
+    np.testing.assert_allclose(root @ root.T, P - gain @ H @ P, atol=1e-10)
+    np.testing.assert_allclose(change, gain @ [1.0, 2.0, 3.0], atol=1e-9)
+
+
+def test_surprise_is_the_square_in_terms_of_the_covariance_and_what_is_missing_counts_nothing():
+    rng = np.random.default_rng(1)
+    root, H = rng.standard_normal((5, 3)), rng.standard_normal((4, 5))
+    r, R = rng.standard_normal(4), np.diag([0.5, 1.0, 2.0, 3.0])
+    precision = 1 / np.sqrt(np.diag(R))
+    _, after, surprise = updated(*map(jnp.array, (root, H @ root, r, precision)))
+    S = H @ root @ root.T @ H.T + R
+    np.testing.assert_allclose(surprise, r @ np.linalg.solve(S, r), rtol=1e-12)
+    missing = np.where(np.arange(4) == 1, np.nan, r)
+    rows = [0, 2, 3]
+    some = updated(*map(jnp.array, (root, H @ root, missing, precision)))
+    few = updated(*map(jnp.array, (root, (H @ root)[rows], r[rows], precision[rows])))
+    for a, b in zip((some[0], some[1] @ some[1].T, some[2]), (few[0], few[1] @ few[1].T, few[2])):
+        np.testing.assert_allclose(a, b, rtol=1e-10, atol=1e-12)
+    assert np.trace(after @ after.T) < np.trace(root @ root.T)
+
+
+@pytest.mark.parametrize("angle", [0.0, 1e-9, 0.3, 3.0])
+def test_differences_of_attitudes_are_rotation_vectors(angle):
+    turn = angle * jnp.array([0.6, 0.0, -0.8])
+    h = quaternion_exp(jnp.array([0.3, -2.0, 1.0]))
+    measured = -1.7 * quaternion_product(quaternion_exp(turn), h)  # of any sign and size
+    p = jnp.array([[0.1, 0.2, 0.3]])
+    found = beyond(Pose(p, h[None]), Pose(p + 1e-3, measured[None]))
+    np.testing.assert_allclose(found, np.append([1e-3] * 3, turn), atol=1e-14)
+
+
+@pytest.fixture(scope="module")
+def estimator():
+    given = dict(force=0.03, force_walk=0.05, parameters={"young_modulus": 0.1})
+    noise = dict(position_noise=control.NOISE, attitude_noise=control.TURNED)
+    return sr.Estimator(ROBOT, 0.01, method=GRID, **noise, **given)
+
+
+def test_errors_are_as_large_as_said(estimator):
+    """Normalised squares of them, of four runs of a rod with other steps and grid: in 99 %."""
+    runs, steps, every = 4, 15, []
+    for run in range(runs):
+        rng = np.random.default_rng(run)
+        modulus = np.exp(0.1 * rng.standard_normal())
+        walk = np.cumsum(0.05 * 0.1 * rng.standard_normal((steps, 3)), 0)
+        forces = 0.03 * rng.standard_normal(3) + walk
+        found, failed = control.estimated(estimator, forces, rng, modulus)
+        assert not failed
+        every.append(found[-1])
+    every = np.array(every)
+    low, high = chi2.ppf([0.005, 0.995], 4 * runs)
+    assert low < every[:, 0].sum() < high, every[:, 0]
+    low, high = chi2.ppf([0.005, 0.995], 6 * runs)
+    assert low < every[:, 1].sum() < high, every[:, 1]
+    off = np.sqrt(np.mean(every[:, 2:] ** 2, 0))
+    assert np.all(off[:3] < 0.02) and off[3] < 0.08, off
+
+
+def test_nothing_seen_changes_nothing_but_widens(estimator):
+    still = Action(jnp.zeros(3), jnp.zeros(1))
+    begun = sr.solve_static(ROBOT, (0.0, 0.0, 0.0), (0.0,), method=GRID)
+    first = estimator.begin(begun, still)
+    after = estimator.step(first, still, jnp.full((1, 3), jnp.nan), jnp.full((1, 4), jnp.nan))
+    np.testing.assert_allclose(after.force, 0.0, atol=1e-12)
+    grown = np.diag(after.covariance - first.covariance)
+    np.testing.assert_allclose(grown, [25e-6, 25e-6, 25e-6, 0.0], rtol=1e-6, atol=1e-12)
+    assert after.surprise == 0.0
+
+
+def test_bad_input(estimator):
+    bad = [
+        (dict(position_noise=0.0), "position_noise=0.0; a positive number"),
+        (dict(force=None), "0 numbers to estimate"),
+        (dict(parameters={"stiffness": 0.1}), "no positive number 'stiffness'"),
+        (dict(sees=("elbow",)), "sees='elbow'; it is offered"),
+        (dict(rank=2), "rank=2 with 3 numbers"),
+        (dict(scheme=sr.BDFAlpha()), "memory of past steps; use SDIRK"),
+    ]
+    for given, message in bad:
+        with pytest.raises(ValueError, match=message):
+            sr.Estimator(ROBOT, 0.01, **given)
+    begun = estimator.begin()
+    with pytest.raises(ValueError, match=r"positions has shape \(3,\); \(1, 3\) is needed"):
+        estimator.step(begun, Action(), np.zeros(3))
+    with pytest.raises(ValueError, match=r"quaternions has shape \(4,\)"):
+        estimator.step(begun, Action(), np.zeros((1, 3)), np.zeros(4))
