@@ -148,22 +148,6 @@ def test_a_rod_in_a_tube_buckles_at_the_known_load():
     np.testing.assert_allclose(tips, np.tile([-r, 0.0, 3 * L], (4, 1)), rtol=0, atol=1e-9)
 
 
-def test_a_rod_that_is_pushed_into_a_tube_is_a_helix_of_the_known_pitch():
-    """F = 8 pi^2 EI / pitch^2 (Lubinski, 1962), away from the ends."""
-    load = sr.TipLoad([0.0, 0.0, -8 * np.pi**2 * SLENDER / L**2])
-    # A little weight and curvature say to which side.
-    aside = dict(gravity=[-0.3, 0.0, 0.0], rest_curvature=[1.0, 0.0, 0.0])
-    scene = in_a_tube(1e-3, 1e5, tip_load=load, **aside)
-    solution = sr.solve_static(scene, method=sr.Collocation(48))
-    assert bool(solution.stats["stable"])
-    x, y, _ = np.asarray(solution.positions).T
-    s = np.asarray(solution.arc_lengths)
-    middle = (s > 0.9 * L) & (s < 2.4 * L)
-    np.testing.assert_allclose(np.hypot(x, y)[middle], 1e-3, rtol=0.02)
-    per_length, _ = np.polyfit(s[middle], np.unwrap(np.arctan2(y, x))[middle], 1)
-    np.testing.assert_allclose(2 * np.pi / abs(per_length), L, rtol=5e-3)
-
-
 @pytest.mark.parametrize("bent", [False, True])
 def test_distances_and_their_slopes(bent):
     """Of points on all sides of a tube's axis, and on it, where no direction leads away."""

@@ -22,6 +22,7 @@ from softrod_jax.pictures.drawing import TENDON_COLOURS as _COLOURS
 from softrod_jax.pictures.drawing import unit_of, upright
 from softrod_jax.pictures.obstacles import courses_by_number, surfaces_of
 from softrod_jax.pictures.stills import check_solved
+from softrod_jax.scene.contacts import contact_names
 from softrod_jax.scene.inputs import KINDS, Inputs, Kind
 from softrod_jax.scene.poses import PosesLike
 from softrod_jax.scene.scene import Scene
@@ -98,7 +99,7 @@ def _content(scene: Scene, motion, inputs: Inputs, measured, courses) -> dict[st
         "size": size,
         "payload": 0.8 * size * body.radius if scene.payload is not None else 0,
         "obstacles": _obstacles(scene, line.p.reshape(-1, 3), courses, size, shown),
-        "inputs": _inputs(scene, inputs, len(ts), shown) + _pushes(motion, shown),
+        "inputs": _inputs(scene, inputs, len(ts), shown) + _pushes(scene, motion, shown),
         "measured": [_seen(size, name, *seen) for name, seen in measured.items()],
     }
 
@@ -139,11 +140,11 @@ def _obstacles(scene: Scene, places, courses, size: float, shown) -> list[dict]:
     return found
 
 
-def _pushes(motion, shown) -> list[dict]:
+def _pushes(scene: Scene, motion, shown) -> list[dict]:
     """The sizes of the forces of obstacles, drawn as inputs are."""
-    found = []
-    for name, force in getattr(motion, "contact_forces", {}).items():
-        size = np.linalg.norm(np.asarray(force)[shown], axis=-1)
+    forces, found = getattr(motion, "contact_forces", {}), []
+    for name in contact_names(scene.contacts) if forces else ():
+        size = np.linalg.norm(np.asarray(forces[name])[shown], axis=-1)
         found.append({"name": f"force of {name}", "unit": "N", "curves": [_rounded(size)],
                       "colours": ["#c2727a"]})  # fmt: skip
     return found

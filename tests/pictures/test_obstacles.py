@@ -41,7 +41,8 @@ def touched(*shapes):
 def moving():
     """An arc of known shape, and forces beside it."""
     known = vars(motion())
-    return SimpleNamespace(**known, contact_forces={"c0": np.full((5, 3), [3.0, 4.0, 0.0])})
+    forces = {"c1": np.zeros((5, 3)), "c0": np.full((5, 3), [3.0, 4.0, 0.0])}
+    return SimpleNamespace(**known, contact_forces=forces)
 
 
 @pytest.mark.parametrize("name", SHAPES)
@@ -91,7 +92,8 @@ def test_a_film_has_obstacles_their_courses_and_forces(tmp_path):
     assert [x[0] for x in wall["moved"]["by"]] == [0, 1, 2, 3, 4] and tube["moved"] is None
     grid = surfaces_of(scene, PLACES)[0].grid
     assert np.shape(wall["grid"]) == grid.shape
-    (push,) = found["inputs"]
+    push, none = found["inputs"]
+    assert none["name"] == "force of c1" and none["curves"] == [[0.0] * 5]
     assert push["name"] == "force of c0" and push["unit"] == "N" and push["curves"] == [[5.0] * 5]
 
 
