@@ -1,6 +1,7 @@
 """Rods against obstacles: random equilibria on three grids, a bounce, forces by the step, cost.
 
-    python benchmarks/contacts.py [equilibria] [bounce] [steps] [cost] [--count 200] [--seed 0]
+    python benchmarks/contacts.py [equilibria] [bounce] [steps] [cost] [tube]
+                                  [--count 200] [--seed 0]
 
 - `equilibria`: a rod of 0.1 m under gravity and tensions against a plane, a ball or a bent tube, of
   300 to 30,000 N/m^2, on 12, 24 and 48 intervals, and how the estimated errors compare with the
@@ -8,6 +9,8 @@
 - `bounce`: a rod that falls on a wall and flies on, undamped: how much of its energy it keeps.
 - `steps`: its tip and its mean force over half a second against steps of 0.5 ms, twice the grid.
 - `cost`: a step with the wall against one without, in a loop of the same program.
+- `tube`: a slender rod of 0.3 m that is pushed into a straight tube, and the pitch of its helix
+  away from the ends against Lubinski's (F = 8 pi^2 EI / pitch^2).
 """
 
 import argparse
@@ -165,15 +168,45 @@ def cost(repeats: int = 7) -> None:
         print(f"{name}: {10 * seconds:.2f} ms a step, {times:.2f} times; {evaluations[name]:.1f}")
 
 
+def tube(bending: float = 5e-5, gap: float = 1e-3) -> None:
+    """Of loads whose pitch is a third, and a quarter, of the rod; a little weight says where."""
+    length = 3 * L
+    around = sr.Tube([[0.0, 0.0, 0.0], [0.0, 0.0, length]], R + gap)
+    for turns, curvature, intervals in ((3, 1.0, 36), (3, 1.0, 48), (3, 0.3, 48), (4, 1.0, 60)):
+        push = 8 * np.pi**2 * bending * (turns / length) ** 2
+        scene = sr.Scene(
+            length, sr.Circle(R), linear_density=0.12, inextensible=True,
+            stiffness=sr.Stiffness(bending=[bending, bending], torsion=bending),
+            gravity=[-0.3, 0.0, 0.0], rest_curvature=[curvature, 0.0, 0.0],
+            tip_load=sr.TipLoad([0.0, 0.0, -push]), contacts=(sr.Contact(around, 1e5),),
+        )  # fmt: skip
+        begun = time.perf_counter()
+        method = sr.Collocation(intervals, max_error=1e-2)
+        solution = sr.solve_static(scene, method=method, throw=False)
+        (x, y, _), s = np.asarray(solution.positions).T, np.asarray(solution.arc_lengths)
+        middle = (s > 0.3 * length) & (s < 0.8 * length)
+        turned = np.unwrap(np.arctan2(y, x))[middle]
+        pitch = 2 * np.pi / abs(np.polyfit(s[middle], turned, 1)[0]) * turns / length
+        stable = "stable" if solution.stats["stable"] else "not stable"
+        print(
+            f"tube, {push:.3f} N, {curvature} 1/m, {intervals} intervals: "
+            f"{sr.RESULTS(int(solution.result)).name}, {stable}, error "
+            f"{float(solution.stats['error']):.0e}; pitch {pitch:.4f} of the known one; "
+            f"{time.perf_counter() - begun:.0f} s"
+        )
+
+
 if __name__ == "__main__":
     parser = argparse.ArgumentParser()
-    parser.add_argument("parts", nargs="*", default=["equilibria", "bounce", "steps", "cost"])
+    parser.add_argument(
+        "parts", nargs="*", default=["equilibria", "bounce", "steps", "cost", "tube"]
+    )
     parser.add_argument("--count", type=int, default=200)
     parser.add_argument("--seed", type=int, default=0)
     args = parser.parse_args()
     print(machine())
     if "equilibria" in args.parts:
         equilibria(np.random.default_rng(args.seed), args.count)
-    for name, part in (("bounce", bounce), ("steps", steps), ("cost", cost)):
+    for name, part in (("bounce", bounce), ("steps", steps), ("cost", cost), ("tube", tube)):
         if name in args.parts:
             part()

@@ -9,6 +9,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from scipy.linalg import expm
+from scipy.optimize import brentq
 
 import softrod_jax as sr
 from softrod_jax.rod.reduction import make_rod
@@ -105,6 +107,45 @@ def test_a_tip_pressed_on_a_wall_by_a_known_force():
     n1 = 1 + F / EA
     # The force begins within an interval, of which there are nine in the wall.
     np.testing.assert_allclose(EA * (n1**2 - n0**2), k * depth**2, rtol=3e-4)
+
+
+def in_a_tube(gap, k, base=(0.0, 0.0, 0.0), **changes):
+    """A slender rod in a straight tube with a gap around it, three times as long as the others."""
+    tube = sr.Contact(sr.Tube([[0.0, 0.0, 0.0], [0.0, 0.0, 3 * L]], R + gap), k, name="tube")
+    measured = sr.Stiffness(bending=[SLENDER, SLENDER], torsion=SLENDER)
+    own = dict(stiffness=measured, linear_density=0.12, inextensible=True, base_position=base)
+    return as_arrays(sr.Scene(3 * L, sr.Circle(R), contacts=(tube,), **(own | changes)))
+
+
+SLENDER = 5e-5  # N m^2
+
+
+def test_a_rod_in_a_tube_buckles_at_the_known_load():
+    """One that lies in it: EI y'''' + F y'' + (w / r) y = 0, the tube's floor being a cradle.
+
+    Long rods buckle at 2 sqrt(EI w / r) between their ends (Dawson & Paslay, 1984), and at half of
+    it where an end is free (Hetenyi, 1946).
+    """
+    weight, gap, k = 0.12 * 9.81, 4e-3, 2e3
+    r = gap + weight / k
+    rows = lambda F: [[0, 1, 0, 0], [0, 0, 1 / SLENDER, 0], [0, -F, 0, 1], [-weight / r, 0, 0, 0]]
+    # From the clamp, y = y' = 0, to the free end, where moment and force are zero.
+    free_end = lambda F: np.linalg.det(expm(3 * L * np.array(rows(F)))[2:, 2:])
+    long = 2 * np.sqrt(SLENDER * weight / r)
+    known = brentq(free_end, 0.4 * long, 0.6 * long)
+    np.testing.assert_allclose(known, long / 2, rtol=1e-4)
+
+    @jax.jit
+    @jax.vmap
+    def straight(push):
+        load = sr.TipLoad(force=jnp.array([0.0, 0.0, -1.0]) * push)
+        scene = in_a_tube(gap, k, (-r, 0.0, 0.0), gravity=[-9.81, 0.0, 0.0], tip_load=load)
+        solution = sr.solve_static(scene, method=sr.Collocation(24), throw=False)
+        return solution.result, solution.stats["stable"], solution.tip_position
+
+    results, stable, tips = straight(known * np.array([0.5, 0.99, 1.01, 1.1]))
+    assert results.tolist() == [0] * 4 and stable.tolist() == [True, True, False, False]
+    np.testing.assert_allclose(tips, np.tile([-r, 0.0, 3 * L], (4, 1)), rtol=0, atol=1e-9)
 
 
 @pytest.mark.parametrize("bent", [False, True])

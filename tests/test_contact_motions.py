@@ -6,6 +6,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from scipy.integrate import solve_ivp
 
 import softrod_jax as sr
 from softrod_jax.rod.contact import ContactForce
@@ -157,3 +158,41 @@ def test_the_force_of_a_wall_on_a_point():
         f, l = at(q, w)
         assert (f - K * depth * n) @ q + l @ w < 0
         assert np.all(np.stack(at(q, w, R + 1e-6)) == 0)
+
+
+def test_on_an_incline_it_slides_as_a_block_does():
+    """It creeps below the friction angle at the speed of the law, and slides off above it.
+
+    A rod that lies on a slope across, so soft that its tip does not know the clamp yet, is a block:
+    v' = g (sin a - mu cos a v / sqrt(v^2 + e^2)).
+    """
+    mu, slow, k, mass, dt, steps = 0.3, 1e-2, 1e4, 0.12, 1e-3, 12
+
+    def slides(share):
+        slope = jnp.arctan(share * mu)
+        depth = mass * G * jnp.cos(slope) / k  # at which it carries the rod
+        table = sr.Plane(jnp.array([1.0, 0.0, 0.0]) * (depth - R), [1.0, 0.0, 0.0])
+        scene = sr.Scene(
+            L, sr.Circle(R), linear_density=mass, inextensible=True,
+            stiffness=sr.Stiffness(bending=[1e-6, 1e-6], torsion=10.0),
+            gravity=G * jnp.stack([-jnp.cos(slope), jnp.sin(slope), 0.0 * slope]),
+            contacts=(sr.Contact(table, k, friction=mu, slip_speed=slow),),
+        )  # fmt: skip
+        motion = sr.simulate(
+            scene, dt, steps=steps, method=sr.Collocation(16), throw=False, max_time_error=1.0
+        )
+        return motion.tip_velocities[:, 1], motion.result
+
+    shares = np.array([0.5, 0.9, 1.1, 2.0])
+    speeds, results = jax.jit(jax.vmap(slides))(shares)
+    assert results.tolist() == [0] * 4
+    t = dt * np.arange(steps + 1)
+    for share, speed in zip(shares, np.asarray(speeds), strict=True):
+        slope = np.arctan(share * mu)
+        rate = lambda t, v, a=slope: G * (np.sin(a) - mu * np.cos(a) * v / np.hypot(v, slow))
+        block = solve_ivp(rate, (0, t[-1]), [0.0], "Radau", t, rtol=1e-9, atol=1e-13).y[0]
+        np.testing.assert_allclose(speed[3:], block[3:], rtol=2e-3)
+        if share < 1:
+            assert np.all(speed <= slow * share / np.sqrt(1 - share**2))
+        else:
+            assert np.all(speed >= 0.999 * G * (np.sin(slope) - mu * np.cos(slope)) * t)

@@ -57,7 +57,9 @@ def add_arguments(parser) -> None:
         help="start from the equilibrium under the first inputs, not from the straight rod",
     )
     parser.add_argument(
-        "--out", metavar="FILE.csv", help="write the motion of tip and markers, as a log"
+        "--out",
+        metavar="FILE.csv",
+        help="write the motion of tip and markers, and the forces of obstacles, as a log",
     )
     parser.add_argument("--json", action="store_true", help="the whole motion as JSON on stdout")
     add_grid(
@@ -134,23 +136,27 @@ def run(args) -> int:
     import numpy as np
 
     import softrod_jax as sr
+    from softrod_jax.scene.contacts import contact_names
 
     scene = sr.load_scene(args.scene)
     motion = simulated(args, scene)
     steps, traj = motion.steps, motion.trajectory
     if traj is None:
-        return _report(args, motion.reason, [0.0], [None], 0, 0, None, None)
+        return _report(args, motion.reason, [0.0], [None], 0, 0, None, {})
     succeeded = int(traj.result) == 0
     failed_step = None if succeeded else int(traj.failed_step)
     tips = np.array(traj.tip_positions)
     if failed_step is not None:
         tips[failed_step + 1 :] = np.nan  # the last iterates of a failed step are no motion
+    known = np.asarray(np.isfinite(tips[:, 0]))
+    obstacles = contact_names(scene.contacts)
     if args.out is not None:
         names = [marker.name for marker in scene.markers or ()]
         tracks = {name: np.array(traj.markers[name].positions) for name in names}
-        for track in tracks.values():
-            track[np.isnan(tips).any(axis=1)] = np.nan
-        _write(args.out, scene, np.asarray(traj.ts), motion.inputs, tips, tracks)
+        forces = {x: np.array(traj.contact_forces[x]) for x in obstacles}
+        for values in (*tracks.values(), *forces.values()):
+            values[~known] = np.nan
+        _write(args.out, scene, np.asarray(traj.ts), motion.inputs, tips, tracks, forces)
     rows = [None if np.isnan(tip).any() else tip.tolist() for tip in tips]
     error = float(traj.stats["time_error"][-1])
     if succeeded and error > _LARGE_ERROR:
@@ -158,12 +164,16 @@ def run(args) -> int:
             f"the tip's error is estimated at {error:.2g} lengths of the rod: take a smaller --dt, "
             "or give a --tolerance"
         )
-    tensions = None
+    only_known = lambda values: [
+        x if there else None for x, there in zip(np.asarray(values).tolist(), known, strict=True)
+    ]
+    more = {}
     if motion.inputs.pulls is not None:
-        known = zip(rows, np.asarray(traj.tensions).tolist(), strict=True)
-        tensions = [None if tip is None else values for tip, values in known]
+        more["tensions"] = only_known(traj.tensions)
+    if obstacles:
+        more["contact_force"] = {x: only_known(traj.contact_forces[x]) for x in obstacles}
     ts = traj.ts.tolist()
-    return _report(args, motion.reason, ts, rows, steps, failed_step, error, tensions)
+    return _report(args, motion.reason, ts, rows, steps, failed_step, error, more)
 
 
 def _inputs(args, scene) -> tuple[int, Any]:
@@ -250,24 +260,24 @@ def _rows(inputs, index):
     )
 
 
-def _write(path, scene, ts, inputs, tips, tracks) -> None:
+def _write(path, scene, ts, inputs, tips, tracks, forces) -> None:
     """The motion with the columns of a log of this scene: actuators not used are at zero."""
     from softrod_jax.scene.inputs import filled
     from softrod_jax.scene.logs import write_log
 
     inputs = filled(scene, inputs, (len(ts),))._asdict()
-    write_log(path, ts, **inputs, tip_positions=tips, markers=tracks)
+    write_log(path, ts, **inputs, tip_positions=tips, markers=tracks, contact_forces=forces)
 
 
-def _report(args, result, ts, tips, steps, failed_step, error, tensions) -> int:
-    """`tensions`: of all tendons, at `ts`, of a scene some of whose follow from pulls."""
+def _report(args, result, ts, tips, steps, failed_step, error, more) -> int:
+    """`more`: what is known at `ts` beside the tip, of a scene that has it."""
     if args.json:
         print_json(
             {
                 "result": result,
                 "t_s": ts,
                 "tip_position": tips,
-                **({} if tensions is None else {"tensions": tensions}),
+                **more,
                 "steps": steps,
                 "failed_step": failed_step,
                 "time_error": None if failed_step is not None else error,

@@ -18,7 +18,9 @@ from calibration.data.plausible import Source, check_pulls, check_reach
 from calibration.data.recording import TIP_COLUMNS, Recording, RecordingError
 from calibration.data.text_files import read_lines
 from calibration.data.unseen import at_zero, base_is_zero
+from softrod_jax.scene.contacts import contact_names
 from softrod_jax.scene.inputs import KINDS, Kind
+from softrod_jax.scene.logs import force_columns
 
 # Columns that may stand anywhere after the time.
 _ANYWHERE = re.compile(r"pull\d+_")
@@ -38,8 +40,9 @@ def read_log(path: str | PathLike, scene=None, *, need_tip: bool = True) -> Reco
     tension), p1_Pa, .. (a pressure per chamber), tip_x_m, tip_y_m, tip_z_m; and anywhere after the
     time pull1_m, .. (a pull per tendon that is driven by its length). An empty cell, `nan` or `NA`
     is a missing coordinate of the tip; time and inputs must be complete. Places of the scene's
-    markers may follow, NAME_x_m, NAME_y_m, NAME_z_m, and are left unread. Rows in messages are
-    lines of the file, the header being row 1.
+    markers may follow, NAME_x_m, NAME_y_m, NAME_z_m, and forces of its obstacles, NAME_fx_N,
+    NAME_fy_N, NAME_fz_N; they are left unread. Rows in messages are lines of the file, the header
+    being row 1.
     """
     header, columns, values, lines = _table(path, scene, need_tip)
     _check_values(values, header, columns.tip, lines, path)
@@ -101,7 +104,7 @@ def _table(path, scene, need_tip):
             row, line = [cell.strip() for cell in row], reader.line_num
             if header is None:
                 header = row
-                known = len(header) - _marker_columns(header, scene)
+                known = len(header) - _unread_columns(header, scene)
                 columns = _columns(header[:known], path, scene, need_tip, encoding)
                 continue
             if len(row) != len(header):
@@ -124,17 +127,26 @@ def _table(path, scene, need_tip):
     return header[:known], columns, table[:, :known], numbers
 
 
-def _marker_columns(header: list[str], scene) -> int:
-    """How many columns at the end are places of markers of the scene, which are not used."""
+def _unread_columns(header: list[str], scene) -> int:
+    """How many columns at the end are places of markers, or forces of obstacles, of the scene."""
     if scene is None:
-        ends = [re.fullmatch(r"([A-Za-z]\w*)_z_m", name) for name in header]
-        names = [end[1] for end in ends if end and end[1] != "tip"]
+        markers = [end[1] for end in _ending(header, "_z_m") if end[1] != "tip"]
+        obstacles = [end[1] for end in _ending(header, "_fz_N")]
     else:
-        names = [marker.name for marker in scene.markers or ()]
-    count, triples = 0, {tuple(f"{name}_{axis}_m" for axis in "xyz") for name in names}
+        markers = [marker.name for marker in scene.markers or ()]
+        obstacles = contact_names(scene.contacts)
+    triples = {tuple(f"{name}_{axis}_m" for axis in "xyz") for name in markers}
+    triples |= {tuple(force_columns(name)) for name in obstacles}
+    count = 0
     while tuple(header[len(header) - count - 3 : len(header) - count]) in triples:
         count += 3
     return count
+
+
+def _ending(header: list[str], end: str) -> list[re.Match]:
+    """Names that end so; the first group is what is before."""
+    found = [re.fullmatch(rf"([A-Za-z]\w*){end}", name) for name in header]
+    return [match for match in found if match]
 
 
 def _columns(header, path, scene, need_tip, encoding) -> _Columns:

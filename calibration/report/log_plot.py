@@ -13,20 +13,25 @@ def log_figure(recording: Recording, scene=None, trajectory=None) -> Figure:
     """The tip's x, y and z and the inputs against time, and beside them the tip's path.
 
     With a `scene` and the `trajectory` simulated from the log's inputs, the rod is drawn at some
-    moments instead, and the simulated tip over the log's, on the log's clock.
+    moments instead, and the simulated tip over the log's, on the log's clock; and the sizes of the
+    forces of obstacles, where the scene has them.
     """
     inputs = recording.driven_by
-    figure = Figure(figsize=(10, 4.6 + 0.7 * len(inputs)))
+    forces = {} if trajectory is None else trajectory.contact_forces
+    panels = len(inputs) + bool(forces)
+    figure = Figure(figsize=(10, 4.6 + 0.7 * panels))
     place = {"left": 0.62, "right": 0.95, "top": 0.94, "bottom": 0.09, "hspace": 0.25}
-    rows = figure.subplots(3 + len(inputs), 1, sharex=True, gridspec_kw=place)
+    rows = figure.subplots(3 + panels, 1, sharex=True, gridspec_kw=place)
     _draw_tip(rows[:3], recording, trajectory)
-    for row, (kind, values) in zip(rows[3:], inputs, strict=True):
+    for row, (kind, values) in zip(rows[3:], inputs, strict=False):
         unit, size = kind.shown
         for j, column in enumerate(values.T):
             row.plot(recording.times, size * column, lw=1, label=f"{j + 1}")
         row.set_ylabel(f"{kind.one} [{unit}]")
         if values.shape[1] > 1:
-            row.legend(fontsize=7, loc="center left", bbox_to_anchor=(1, 0.5), frameon=False)
+            _name_curves(row)
+    if forces:
+        _draw_forces(rows[-1], recording, scene, trajectory)
     for row in rows:
         row.grid(alpha=0.3)
     rows[-1].set_xlabel("time [s]")
@@ -38,6 +43,21 @@ def log_figure(recording: Recording, scene=None, trajectory=None) -> Figure:
     else:
         _draw_rod(figure, left, recording, scene, trajectory)
     return figure
+
+
+def _draw_forces(row, recording, scene, trajectory) -> None:
+    from softrod_jax.scene.contacts import contact_names  # imports JAX
+
+    ts = recording.times[0] + np.asarray(trajectory.ts)
+    for name in contact_names(scene.contacts):
+        size = np.linalg.norm(trajectory.contact_forces[name], axis=-1)
+        row.plot(ts, size, lw=1, label=name)
+    row.set_ylabel("force [N]")
+    _name_curves(row)
+
+
+def _name_curves(row) -> None:
+    row.legend(fontsize=7, loc="center left", bbox_to_anchor=(1, 0.5), frameon=False)
 
 
 def _draw_tip(rows, recording, trajectory) -> None:

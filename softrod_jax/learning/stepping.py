@@ -5,6 +5,7 @@ corrections. The steps are those of `simulate`. A state is a pytree: it goes thr
 `vmap`, `grad` and `lax.scan`.
 """
 
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import equinox as eqx
@@ -26,8 +27,10 @@ from softrod_jax.rod.constants import full_strain
 from softrod_jax.rod.given_lengths import tensions_of
 from softrod_jax.rod.reduction import clamp_pose, make_rod
 from softrod_jax.rod.rotations import to_base
+from softrod_jax.rod.shape import ORIGIN
 from softrod_jax.rod.validity import usable, usable_in_time
 from softrod_jax.scene.checks import checked_scene
+from softrod_jax.scene.contacts import contact_names
 from softrod_jax.scene.inputs import (
     Inputs,
     after_play,
@@ -39,8 +42,10 @@ from softrod_jax.scene.inputs import (
     zero_unless,
 )
 from softrod_jax.scene.planes import in_space
+from softrod_jax.scene.poses import Poses, PosesLike, checked_pose, checked_poses
 from softrod_jax.scene.scene import Scene
 from softrod_jax.statics import StaticSolution
+from softrod_jax.stepping.courses import Pasts, at_rest, go_on
 from softrod_jax.stepping.marching import stepping_of
 from softrod_jax.stepping.moving_rod import Progress, State
 from softrod_jax.stepping.scheme import AbstractTimeScheme
@@ -64,7 +69,7 @@ class RodState(eqx.Module):
       the rod, estimated, in lengths of the rod.
 
     `memory` is the time scheme's, `progress` what a step hands to the next: where Newton's method
-    starts, the factors of its last Jacobian, the code.
+    starts, the factors of its last Jacobian, the code. `past`: where what is carried has been.
     """
 
     time: Float[Array, ""]
@@ -73,6 +78,7 @@ class RodState(eqx.Module):
     progress: Progress
     first: Bool[Array, ""]
     jumps: Bool[Array, ""]
+    past: Pasts
     made_by: tuple[AbstractTimeScheme, AbstractMethod] = eqx.field(static=True)
 
     @property
@@ -105,6 +111,7 @@ class RodView(eqx.Module):
     - `positions` [m], (outputs, 3); `quaternions` (w, x, y, z), (outputs, 4).
     - `strains` (v, u) and `velocities` (q, omega), (outputs, 6), body frame.
     - `tensions` [N], (tendons,): of all tendons, at the end where their actuator is.
+    - `contact_forces`: by the name of each contact, (3,) [N], as in `Trajectory`.
     - `result`: a code of `RESULTS`.
     """
 
@@ -116,6 +123,7 @@ class RodView(eqx.Module):
     strains: Float[Array, "*steps outputs 6"]
     velocities: Float[Array, "*steps outputs 6"]
     tensions: Float[Array, "*steps tendons"]
+    contact_forces: dict[str, Float[Array, "*steps 3"]]
     result: Int[Array, "*steps"]
 
 
@@ -154,14 +162,26 @@ class Stepper(eqx.Module):
         self.scheme, self.method, self.newton = scheme, method.fitted(scene), newton
 
     def reset(
-        self, initial: StaticSolution | None = None, action: Action | None = None
+        self,
+        initial: StaticSolution | None = None,
+        action: Action | None = None,
+        *,
+        carried: Sequence[str] = (),
     ) -> RodState:
         """The state of a rod at rest: unloaded, with all actuators at zero.
 
         - `initial`: in this equilibrium instead, found with the same `method` under `action`.
+        - `carried`: what each step from here on takes a pose of: "base", and names of contacts.
 
-        Raises `ValueError` for an `initial` of another method, or an `action` without one.
+        Raises `ValueError` for an `initial` of another method, an `action` without one, and a name
+        that no contact has.
         """
+        names = contact_names(self.scene.contacts)
+        for name in carried:
+            if name not in ("base", *names):
+                raise ValueError(
+                    f"Stepper.reset: carried has {name!r}; there are {', '.join(('base', *names))}"
+                )
         if initial is None and action is not None:
             raise ValueError(
                 "Stepper.reset: an action without `initial`; give the equilibrium under it, "
@@ -173,24 +193,37 @@ class Stepper(eqx.Module):
                 "`method`"
             )
         action = self._checked("Stepper.reset", Action() if action is None else action, ndim=1)
-        return _reset(self, initial, action)
+        return _reset(self, initial, action, tuple(carried))
 
     @hashable
-    def step(self, state: RodState, action: Action, jump=None) -> RodState:
+    def step(
+        self,
+        state: RodState,
+        action: Action,
+        jump=None,
+        *,
+        base: PosesLike | None = None,
+        contacts: Mapping[str, PosesLike] | None = None,
+    ) -> RodState:
         """The state one `dt` later.
 
         - `action`: reached linearly at the end of the step, from what acted before; the same
           again is constant.
         - `jump`: whether it acts from the beginning of the step instead, a bool or a traced one.
           By default only the first step of an unloaded rod jumps, as in `simulate`.
+        - `base`, `contacts`: the poses at the end of the step, (7,), of what `reset` said is
+          carried. Where `simulate` knows the next pose too, here slopes look back.
 
-        An action that is not finite, or a negative tension, is the code `bad_input` where it is
-        traced. Raises `ValueError` where it is not, for wrong shapes, and for a state that a
-        stepper of another scheme or method made.
+        An action or a pose that is not finite, or a negative tension, is the code `bad_input` where
+        it is traced. Raises `ValueError` where it is not, for wrong shapes, for other poses than
+        those of what is carried, and for a state that a stepper of another scheme or method made.
         """
         self._own("Stepper.step", state)
         action = self._checked("Stepper.step", action, ndim=1)
-        return _step(self, state, action, state.jumps if jump is None else jnp.asarray(jump))
+        poses = checked_pose("Stepper.step", self.scene, base, contacts)
+        _same_carried("Stepper.step", self.scene, state, poses)
+        jump = state.jumps if jump is None else jnp.asarray(jump)
+        return _step(self, state, action, jump, poses)
 
     @hashable
     def rollout(
@@ -198,21 +231,26 @@ class Stepper(eqx.Module):
         state: RodState,
         actions: Action,
         jumps: Bool[Array | np.ndarray, "steps"] | None = None,
+        *,
+        base: PosesLike | None = None,
+        contacts: Mapping[str, PosesLike] | None = None,
     ) -> tuple[RodState, RodView]:
-        """Steps through `actions`, (steps, actuators) each, one row a step.
+        """Steps through `actions`, (steps, actuators) each, one row a step; poses (steps, 7), too.
 
         Returns the last state, and what is seen after each step, with a leading axis of steps.
         """
         self._own("Stepper.rollout", state)
-        actions = self._checked("Stepper.rollout", actions, ndim=2)
-        sizes = {x.shape[0] for x in jax.tree.leaves(actions)}
+        poses = checked_poses("Stepper.rollout", self.scene, base, contacts)
+        _same_carried("Stepper.rollout", self.scene, state, poses)
+        actions = self._checked("Stepper.rollout", actions, 2, jax.tree.leaves(poses))
+        sizes = {x.shape[0] for x in jax.tree.leaves((actions, poses))}
         if len(sizes) != 1:
             raise ValueError(f"Stepper.rollout: lengths of {sizes}; one row a step is needed")
         if jumps is not None and jnp.shape(jumps) != (*sizes,):
             raise ValueError(
                 f"Stepper.rollout: jumps has shape {jnp.shape(jumps)}; one a step is needed"
             )
-        return _rollout(self, state, actions, jumps)
+        return _rollout(self, state, actions, jumps, poses)
 
     @hashable
     def view(self, state: RodState) -> RodView:
@@ -227,10 +265,10 @@ class Stepper(eqx.Module):
                 f"{(self.scheme, self.method)}; use one stepper from the reset on"
             )
 
-    def _checked(self, who, action, ndim) -> Action:
-        """With arrays for all actuators that the scene has."""
+    def _checked(self, who, action, ndim, beside=()) -> Action:
+        """With arrays for all actuators that the scene has. `beside`: other rows of steps."""
         action = checked_inputs(who, self.scene, action, ndim)
-        given = [x.shape[:-1] for x in jax.tree.leaves(action)]
+        given = [x.shape[:-1] for x in (*jax.tree.leaves(action), *beside)]
         if ndim == 2 and not given:
             raise ValueError(f"{who}: no inputs to tell how many steps; give rows of zeros")
         return filled(self.scene, action, given[0] if given else ())
@@ -244,6 +282,24 @@ def reset_where(done: Bool[Array, ""], fresh: RodState, state: RodState) -> RodS
     return jax.tree.map(lambda a, b: jnp.where(done, a, b), fresh, state)
 
 
+def _same_carried(who, scene: Scene, state: RodState, poses: Poses) -> None:
+    names = ("base", *contact_names(scene.contacts))
+    given = _named(names, poses)
+    carried = _named(names, state.past)
+    if given != carried:
+        raise ValueError(
+            f"{who}: poses of {', '.join(given) or 'nothing'}, and the state carries "
+            f"{', '.join(carried) or 'nothing'}; give those, as `reset` said with `carried`"
+        )
+
+
+def _named(names, of: Poses | Pasts) -> list[str]:
+    """The names of those that there are."""
+    obstacles = of.obstacles or (None,) * (len(names) - 1)
+    each = zip(names, (of.base, *obstacles), strict=True)
+    return [name for name, one in each if one is not None]
+
+
 def _stepping(stepper, action):
     """The steps of `marching.py`, and whether there can be such a scene."""
     scene, dt, good = usable_in_time(stepper.scene, stepper.dt)
@@ -252,22 +308,33 @@ def _stepping(stepper, action):
 
 
 @compiled
-def _reset(stepper, initial, action):
+def _reset(stepper, initial, action, carried):
     from_rest = initial is None
     begin = None if from_rest else beginning_in(initial, stepper.scene)
     stepping, good = _stepping(stepper, action)
     memory, progress = stepping.moving.at_rest(begin, good)
     true = jnp.array(True)
     made_by = (stepper.scheme, stepper.method)
-    return RodState(jnp.zeros(()), action, memory, progress, true, true & from_rest, made_by)
+    past = _at_rest(stepper.scene, carried)
+    return RodState(jnp.zeros(()), action, memory, progress, true, true & from_rest, past, made_by)
+
+
+def _at_rest(scene: Scene, carried) -> Pasts:
+    """Of the base and the obstacles that are carried, by their names."""
+    names = contact_names(scene.contacts)
+    base = at_rest(clamp_pose(scene)) if "base" in carried else None
+    each = tuple(at_rest(ORIGIN) if name in carried else None for name in names)
+    return Pasts(base, each if set(names) & set(carried) else ())
 
 
 @compiled
-def _step(stepper, state, action, jump):
+def _step(stepper, state, action, jump, poses=Poses()):
+    past, courses = go_on(state.past, poses, state.first)
     good = good_inputs(action)
+    good = good if courses.good is None else good & courses.good
     action = after_play(stepper.scene, zero_unless(good, action), state.action.pulls)
     jumps = jax.tree.map(lambda x: jnp.broadcast_to(jump, x.shape), action)
-    inputs = StepInputs(state.action, action, without_places(jumps), good)
+    inputs = StepInputs(state.action, action, without_places(jumps), good, courses)
     restart = state.first | jump
     stepping, possible = _stepping(stepper, action)
     dt = stepping.moving.dt
@@ -276,7 +343,7 @@ def _step(stepper, state, action, jump):
     progress = state.progress._replace(result=_unless_bad(possible, state.result))
     (memory, progress), _ = stepping.step(State(state.memory, progress), coefficients, inputs)
     no = jnp.array(False)
-    return RodState(state.time + dt, action, memory, progress, no, no, state.made_by)
+    return RodState(state.time + dt, action, memory, progress, no, no, past, state.made_by)
 
 
 def _unless_bad(good, result):
@@ -286,13 +353,13 @@ def _unless_bad(good, result):
 
 
 @compiled
-def _rollout(stepper, state, actions, jumps):
+def _rollout(stepper, state, actions, jumps, poses):
     def one(state, row):
-        action, jump = row
-        state = _step(stepper, state, action, state.jumps if jump is None else jump)
+        action, jump, pose = row
+        state = _step(stepper, state, action, state.jumps if jump is None else jump, pose)
         return state, _view(stepper, state)
 
-    return jax.lax.scan(one, state, (actions, jumps))
+    return jax.lax.scan(one, state, (actions, jumps, poses))
 
 
 @compiled
@@ -301,7 +368,9 @@ def _view(stepper, state):
     result = _unless_bad(good, state.result)
     grid = method.grid(scene)
     strains = full_strain(state.strains, make_rod(scene, grid=grid))
-    positions, quaternions = method.shape(strains, grid, *clamp_pose(scene))
+    clamp = clamp_pose(scene) if state.past.base is None else state.past.base.pose
+    positions, quaternions = method.shape(strains, grid, *clamp)
+    pushes, names = state.progress.pushes, contact_names(scene.contacts)
     velocities = in_space(method.outputs(state.velocities), scene.plane)
     view = RodView(
         time=state.time,
@@ -312,6 +381,7 @@ def _view(stepper, state):
         strains=method.outputs(strains),
         velocities=velocities,
         tensions=tensions_of(scene, state.action.tensions, state.progress.multipliers),
+        contact_forces={} if pushes is None else dict(zip(names, pushes, strict=True)),
         result=result,
     )
     return without_derivative(result != RESULTS.successful, view)

@@ -4,6 +4,7 @@ import base64
 import io
 import shutil
 import subprocess
+from collections.abc import Mapping
 from os import PathLike
 from pathlib import Path
 
@@ -17,12 +18,15 @@ from softrod_jax.pictures.drawing import (
     POINTS,
     TENDON_COLOURS,
     draw_line,
+    draw_obstacles,
     rod_axes,
     shares,
     unit_of,
 )
+from softrod_jax.pictures.obstacles import courses_by_number
 from softrod_jax.pictures.page import PAGE
 from softrod_jax.pictures.stills import add_legend, check_solved, draw_dots
+from softrod_jax.scene.poses import PosesLike
 from softrod_jax.scene.scene import Scene
 
 # A frame takes 0.1 s to draw, and half a megabyte of memory until all are there.
@@ -41,6 +45,7 @@ def animate(
     view: tuple[float, float] = (16.0, -60.0),
     size: tuple[int, int] = (480, 440),
     measured_tip=None,
+    contacts: Mapping[str, PosesLike] | None = None,
 ) -> Path:
     """Write a motion to `path`: a .gif, an .mp4, or an .html that needs no other file and no
     network. (`film` writes one that can be turned.)
@@ -52,6 +57,7 @@ def animate(
       shows the step that is nearest in time.
     - `view`: elevation and azimuth [deg]. `size` of the film [pixels].
     - `measured_tip` [m], (steps + 1, 3): dots, as far as it is known.
+    - `contacts`: where obstacles are carried, as in `simulate`.
 
     Returns `path`. Raises `ValueError` for a failed motion, a batch, another ending of the name,
     more than 600 frames, and an .mp4 where ffmpeg is not installed.
@@ -70,7 +76,9 @@ def animate(
     if not 0 < fps <= 50:
         raise ValueError(f"animate: fps={fps}; a number above 0 and up to 50 is needed")
     shown = _shown(np.asarray(trajectory.ts), speed, fps)
-    frames = _frames(scene, trajectory, tensions, pressures, shown, speed, view, size, measured_tip)
+    courses = courses_by_number("animate", scene, contacts, len(trajectory.ts))
+    inputs = tensions, pressures
+    frames = _frames(scene, trajectory, inputs, courses, shown, speed, view, size, measured_tip)
     if kind == ".mp4":
         return _encoded(frames, path, fps)
     # A GIF counts in hundredths of a second.
@@ -111,12 +119,13 @@ def _shown(ts, speed, fps) -> np.ndarray:
     return np.clip(np.round(times / ts[1]).astype(int), 0, len(ts) - 1)
 
 
-def _frames(scene, trajectory, tensions, pressures, shown, speed, view, size, measured):
+def _frames(scene, trajectory, inputs, courses, shown, speed, view, size, measured):
     body = body_of(scene, POINTS)
     lines = line_along(trajectory, body.arc)
     ts = np.asarray(trajectory.ts)
-    pull = _course(tensions, len(ts), len(body.tendons))
-    air = _course(pressures, len(ts), len(body.chambers))
+    pull = _course(inputs[0], len(ts), len(body.tendons))
+    air = _course(inputs[1], len(ts), len(body.chambers))
+    places = lines.p.reshape(-1, 3)
 
     figure = Figure(figsize=(size[0] / 100, size[1] / 100), dpi=100)
     canvas = FigureCanvasAgg(figure)
@@ -135,7 +144,9 @@ def _frames(scene, trajectory, tensions, pressures, shown, speed, view, size, me
     for k in shown:
         for artist in drawn:
             artist.remove()
-        drawn = draw_line(axes, scene, body, Line(lines.p[k], lines.R[k]), pull[k], air[k])
+        poses = {i: rows[k] for i, rows in courses.items()}
+        drawn = draw_obstacles(axes, scene, places, poses)
+        drawn += draw_line(axes, scene, body, Line(lines.p[k], lines.R[k]), pull[k], air[k])
         trail.set_data_3d(*tip[: k + 1].T)  # pyright: ignore[reportAttributeAccessIssue]  # a Line3D
         clock.set_text(f"t = {ts[k]:.2f} s{pace}")
         canvas.draw()

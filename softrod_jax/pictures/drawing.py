@@ -1,4 +1,9 @@
-"""A rod in 3D axes: its body, translucent, with its tendons and chambers, clamp and payload."""
+"""A rod in 3D axes: its body, translucent, with its tendons and chambers, clamp and payload.
+
+Obstacles are drawn behind the rod, wherever they are: what is touched does not hide what touches.
+"""
+
+from collections.abc import Mapping
 
 import numpy as np
 from matplotlib import rc_context
@@ -7,6 +12,7 @@ from matplotlib.ticker import MaxNLocator
 from mpl_toolkits.mplot3d.art3d import Line3DCollection, Poly3DCollection
 
 from softrod_jax.pictures.body import Body, Line, Part, body_of, line_along, placed
+from softrod_jax.pictures.obstacles import carried, faces_of, surfaces_of
 from softrod_jax.scene.scene import Scene
 
 # Places along the rod at which it is drawn.
@@ -15,6 +21,7 @@ TENDON_COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e
 CHAMBER_COLOUR, MEASURED_COLOUR = "#7b3fa0", "#b00020"
 _BODY, _CLAMP, _PAYLOAD, _FORCE = "#c9a98b", "#6b6f75", "#3a3d42", "#b00020"
 _DISK, _MARKER = "#55585e", "#1b4d3e"
+_OBSTACLE = "#c2727a"
 # A line of a tendon is so wide when slack, and so much wider at the largest tension [points].
 _SLACK, _TAUT = 1.0, 2.2
 # Of a chamber, without pressure and at the largest one.
@@ -42,7 +49,8 @@ def rod_axes(
     body = body_of(scene, POINTS)
     line = line_along(shapes, body.arc)
     heads = [at + arrow for at, arrow in _arrows(scene, body, line)]
-    points = np.concatenate([x.reshape(-1, 3) for x in (line.p, *heads)])
+    obstacles = [x.grid for x in surfaces_of(scene, line.p.reshape(-1, 3)).values()]
+    points = np.concatenate([x.reshape(-1, 3) for x in (line.p, *heads, *obstacles)])
     if not np.all(np.isfinite(points)):
         raise ValueError("rod_axes: the shapes have positions that are not finite")
     margin = 1.4 * body.reach
@@ -166,6 +174,21 @@ def draw_line(
     return drawn
 
 
+def draw_obstacles(axes, scene: Scene, places, poses: Mapping[int, np.ndarray] | None = None):
+    """The obstacles of `scene` near `places` [m] of the rod, (n, 3); returns what was drawn.
+
+    `poses`: of some, by their number, where they are carried, (7,).
+    """
+    size, drawn = unit_of(scene)[0], []
+    for i, surface in surfaces_of(scene, places).items():
+        pose = (poses or {}).get(i)
+        grid = surface.grid if pose is None else carried(surface.grid, pose)
+        alpha = 0.12 if surface.inside else 0.35
+        drawn.append(_lit(size * faces_of(grid), _OBSTACLE, alpha, 0.5))
+        axes.add_collection3d(drawn[-1])
+    return drawn
+
+
 def _dots(axes, scene, body: Body, line: Line, size: float, strength: float, order: int) -> list:
     """Where tendons begin and end inside the rod, and markers with their names."""
     style = {"linestyle": "none", "alpha": strength, "zorder": order}
@@ -226,10 +249,12 @@ def shares(values, largest, count) -> np.ndarray:
 
 
 def _surface(grid, colour, alpha, order) -> Poly3DCollection:
-    """Rings of points, (rings, corners, 3), joined to a surface that is lit from one side."""
-    ring = np.concatenate([grid, grid[:, :1]], axis=1)
-    a, b, c, d = ring[:-1, :-1], ring[1:, :-1], ring[1:, 1:], ring[:-1, 1:]
-    faces = np.stack([a, b, c, d], axis=2).reshape(-1, 4, 3)
+    """Rings of points, (rings, corners, 3), joined to a surface."""
+    return _lit(faces_of(np.concatenate([grid, grid[:, :1]], axis=1)), colour, alpha, order)
+
+
+def _lit(faces, colour, alpha, order) -> Poly3DCollection:
+    """Faces, (faces, 4, 3), that are lit from one side."""
     normal = np.cross(faces[:, 2] - faces[:, 0], faces[:, 3] - faces[:, 1])
     normal /= np.linalg.norm(normal, axis=1, keepdims=True) + 1e-300
     light = 0.72 + 0.28 * normal @ (_LIGHT / np.linalg.norm(_LIGHT))

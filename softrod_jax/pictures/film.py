@@ -20,8 +20,11 @@ import numpy as np
 from softrod_jax.pictures.body import Body, Part, body_of, line_along
 from softrod_jax.pictures.drawing import TENDON_COLOURS as _COLOURS
 from softrod_jax.pictures.drawing import unit_of, upright
+from softrod_jax.pictures.obstacles import courses_by_number, surfaces_of
 from softrod_jax.pictures.stills import check_solved
+from softrod_jax.scene.contacts import contact_names
 from softrod_jax.scene.inputs import KINDS, Inputs, Kind
+from softrod_jax.scene.poses import PosesLike
 from softrod_jax.scene.scene import Scene
 from softrod_jax.scene.tendons import driven_by_length
 
@@ -37,6 +40,7 @@ def film(
     inputs: Inputs | None = None,
     *,
     measured: Mapping[str, tuple] | None = None,
+    contacts: Mapping[str, PosesLike] | None = None,
     title: str = "A motion",
 ) -> Path:
     """Write a motion to `path`, a .html: to be turned, zoomed, played and stopped by whoever opens
@@ -47,6 +51,8 @@ def film(
     - `inputs`: what drove it, (steps, actuators) as for `simulate`, or one row for each of `ts`.
     - `measured`: by name, times (n,) [s] and places (n, 3) [m] in the scene's frame, NaN where a
       coordinate is missing.
+    - `contacts`: where obstacles are carried, as in `simulate`. The sizes of their forces, where
+      the motion has them, are drawn below.
 
     Returns `path`. Raises `ValueError` for a failed motion, a batch, and another ending.
     """
@@ -54,13 +60,15 @@ def film(
     check_solved("film", motion)
     if path.suffix.lower() != ".html":
         raise ValueError(f"film: {path}: the name ends in {path.suffix!r}; expected .html")
-    path.write_text(film_page(scene, motion, inputs, measured or {}, title), encoding="utf-8")
+    courses = courses_by_number("film", scene, contacts, len(motion.ts))
+    page = film_page(scene, motion, inputs, measured or {}, courses, title)
+    path.write_text(page, encoding="utf-8")
     return path
 
 
-def film_page(scene: Scene, motion, inputs: Inputs | None, measured, title: str) -> str:
-    """The page of `film`."""
-    content = _content(scene, motion, Inputs() if inputs is None else inputs, measured)
+def film_page(scene: Scene, motion, inputs: Inputs | None, measured, courses, title: str) -> str:
+    """The page of `film`; `courses` of obstacles, (times, 7), by their number."""
+    content = _content(scene, motion, Inputs() if inputs is None else inputs, measured, courses)
     # A name may hold what would end the script.
     data = json.dumps(content, allow_nan=False).replace("<", "\\u003c")
     page = resources.files("softrod_jax.pictures").joinpath("viewer.html").read_text("utf-8")
@@ -68,7 +76,7 @@ def film_page(scene: Scene, motion, inputs: Inputs | None, measured, title: str)
     return re.sub("TITLE|CONTENT", lambda match: put[match.group()], page)
 
 
-def _content(scene: Scene, motion, inputs: Inputs, measured) -> dict[str, Any]:
+def _content(scene: Scene, motion, inputs: Inputs, measured, courses) -> dict[str, Any]:
     body = body_of(scene, _PLACES)
     ts = np.asarray(motion.ts, dtype=float)
     shown = np.unique(np.linspace(0, len(ts) - 1, min(_MOMENTS, len(ts))).round().astype(int))
@@ -90,7 +98,8 @@ def _content(scene: Scene, motion, inputs: Inputs, measured) -> dict[str, Any]:
         "tendons": _tendons(body),
         "size": size,
         "payload": 0.8 * size * body.radius if scene.payload is not None else 0,
-        "inputs": _inputs(scene, inputs, len(ts), shown),
+        "obstacles": _obstacles(scene, line.p.reshape(-1, 3), courses, size, shown),
+        "inputs": _inputs(scene, inputs, len(ts), shown) + _pushes(scene, motion, shown),
         "measured": [_seen(size, name, *seen) for name, seen in measured.items()],
     }
 
@@ -116,6 +125,29 @@ def _tendons(body: Body) -> list[dict]:
         }
         for i, part in enumerate(body.tendons)
     ]
+
+
+def _obstacles(scene: Scene, places, courses, size: float, shown) -> list[dict]:
+    """Grids of points, and where they are carried at the moments that are shown."""
+    found = []
+    for i, surface in surfaces_of(scene, places).items():
+        moved = None
+        if i in courses:
+            rows = courses[i][shown]
+            moved = {"by": _rounded(size * rows[:, :3]), "turned": _rounded(rows[:, 3:])}
+        found.append({"name": surface.name, "grid": _rounded(size * surface.grid),
+                      "inside": surface.inside, "moved": moved})  # fmt: skip
+    return found
+
+
+def _pushes(scene: Scene, motion, shown) -> list[dict]:
+    """The sizes of the forces of obstacles, drawn as inputs are."""
+    forces, found = getattr(motion, "contact_forces", {}), []
+    for name in contact_names(scene.contacts) if forces else ():
+        size = np.linalg.norm(np.asarray(forces[name])[shown], axis=-1)
+        found.append({"name": f"force of {name}", "unit": "N", "curves": [_rounded(size)],
+                      "colours": ["#c2727a"]})  # fmt: skip
+    return found
 
 
 def _inputs(scene: Scene, inputs: Inputs, times: int, shown) -> list[dict]:

@@ -14,6 +14,7 @@ from softrod_jax.pictures.drawing import (
     POINTS,
     TENDON_COLOURS,
     draw_line,
+    draw_obstacles,
     draw_rod,
     rod_axes,
     unit_of,
@@ -45,6 +46,7 @@ def picture(
     figure = Figure(figsize=size)
     figure.subplots_adjust(left=0, right=1, bottom=0, top=1)
     axes = rod_axes(figure, scene, solution, view=view)
+    draw_obstacles(axes, scene, np.asarray(solution.positions))
     draw_rod(axes, scene, solution, tensions=tensions, pressures=pressures)
     add_legend(axes, scene, tensions, pressures)
     return figure
@@ -60,7 +62,7 @@ def stills(
 ) -> Figure:
     """`count` shapes of a motion, evenly in time, faint to strong, and the path of the tip.
 
-    Options and errors as in `picture`.
+    Obstacles are drawn where the scene has them. Options and errors as in `picture`.
     """
     check_solved("stills", trajectory)
     if count < 1:
@@ -81,6 +83,7 @@ def draw_stills(
     """
     body = body_of(scene, POINTS)
     lines = line_along(trajectory, body.arc)
+    draw_obstacles(axes, scene, lines.p.reshape(-1, 3))
     shown = np.unique(np.linspace(0, len(trajectory.ts) - 1, count).round().astype(int))
     half = [np.full(len(part), 0.5) for part in (body.tendons, body.chambers)]
     for n, k in enumerate(shown):

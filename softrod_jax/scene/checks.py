@@ -18,7 +18,7 @@ from jaxtyping import Array, Bool
 
 from softrod_jax.foundation.tracing import is_traced
 from softrod_jax.scene.completeness import incomplete
-from softrod_jax.scene.placement import Rule, arc_lengths, outside_sections
+from softrod_jax.scene.placement import Rule, arc_lengths, outside_sections, tubes
 from softrod_jax.scene.planes import fits_plane, misfits
 from softrod_jax.scene.ranges import ANY, Number, fields_of, numbers_of, singular
 from softrod_jax.scene.scene import Scene, as_arrays, map_numbers, total_length, with_total_length
@@ -127,6 +127,7 @@ def rules_of(scene: Scene) -> Iterator[Rule]:
             for name, holds, expected in relations(owner):
                 yield Rule(f"{prefix}.{name}", getattr(owner, name), holds, expected)
     yield from arc_lengths(scene)
+    yield from tubes(scene)
 
 
 def can_be(scene: Scene) -> Bool[Array, ""]:

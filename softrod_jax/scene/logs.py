@@ -13,6 +13,11 @@ from softrod_jax.scene.inputs import KINDS
 TIP_COLUMNS = ["tip_x_m", "tip_y_m", "tip_z_m"]
 
 
+def force_columns(contact: str) -> list[str]:
+    """The columns of the force with which the obstacle of this name pushes the rod."""
+    return [f"{contact}_f{axis}_N" for axis in "xyz"]
+
+
 def write_log(
     path: str | PathLike,
     times,
@@ -21,12 +26,14 @@ def write_log(
     tip_positions=None,
     markers: dict | None = None,
     pulls=None,
+    contact_forces: dict | None = None,
 ) -> None:
     """Write a CSV log that `calibration.load_recording` reads back bit by bit.
 
     `times` [s] (T,), `tensions` [N] (T, tendons driven by tension), `pressures` [Pa] (T, chambers),
     `pulls` [m] (T, tendons driven by length) and `tip_positions` [m] (T, 3), NaN where missing;
-    columns of what is `None` are left out. `markers` [m]: by name, (T, 3) each.
+    columns of what is `None` are left out. `markers` [m] and `contact_forces` [N]: by name, (T, 3)
+    each, the columns `force_columns` of them.
     Raises `OSError` if the file cannot be written, which then stays as it was.
     """
     header, columns = ["t_s"], [np.reshape(times, (-1, 1))]
@@ -40,6 +47,9 @@ def write_log(
     for name, positions in (markers or {}).items():
         header += [f"{name}_{axis}_m" for axis in "xyz"]
         columns.append(positions)
+    for name, forces in (contact_forces or {}).items():
+        header += force_columns(name)
+        columns.append(forces)
     table = np.hstack([np.asarray(c, dtype=np.float64) for c in columns]).tolist()
     with whole_file(path, newline="", encoding="utf-8") as file:
         writer = csv.writer(file, lineterminator="\n")

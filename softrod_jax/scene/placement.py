@@ -1,7 +1,7 @@
 """Where things are along the rod and in its sections, and whether they can be there.
 
-A rule about arc lengths can be asked of traced numbers, too. That tendons and chambers lie inside
-the sections is asked where numbers are known, at points along each segment.
+A rule about arc lengths or tubes can be asked of traced numbers, too. That tendons and chambers lie
+inside the sections is asked where numbers are known, at points along each segment.
 """
 
 from collections.abc import Callable, Iterator
@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from softrod_jax.scene.contacts import Tube
 from softrod_jax.scene.scene import Scene
 from softrod_jax.scene.sections import Annulus, Circle, GeneralSection, Rectangle
 from softrod_jax.scene.segments import section_between
@@ -53,6 +54,24 @@ def arc_lengths(scene: Scene) -> Iterator[Rule]:
             until = length if end is None else end
             before = lambda until=until: f"expected less than where it ends, {float(until):g} [m]"
             yield Rule(f"{name}[{i}].starts_at", start, start < until, before)
+
+
+def tubes(scene: Scene) -> Iterator[Rule]:
+    """Rules for tubes with the rod in them, whose sections are round; as those of `arc_lengths`."""
+    for i, contact in enumerate(scene.contacts or ()):
+        if not isinstance(contact.obstacle, Tube):
+            continue
+        radius = contact.obstacle.radius
+        # Between the ends of a segment radii change linearly.
+        for part in scene.segments or (scene,):
+            for section in (part.section, part.section_at_end):
+                if isinstance(section, Circle | Annulus):
+                    own = section.radius if isinstance(section, Circle) else section.outer_radius
+                    expected = lambda own=own: (
+                        f"thinner than the rod, whose radius is {float(own):g} [m]; expected at "
+                        "least that"
+                    )
+                    yield Rule(f"contacts[{i}].radius", radius, radius >= own, expected)
 
 
 class _Stretch(NamedTuple):

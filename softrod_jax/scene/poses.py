@@ -51,6 +51,23 @@ def checked_poses(
     return Poses(base, tuple(own.get(name) for name in names) if own else ())
 
 
+def checked_pose(
+    who: str, scene: Scene, base: PosesLike | None, contacts: Mapping[str, PosesLike] | None
+) -> Poses:
+    """As `checked_poses`, of one step: (7,) each, or a pair of (3,) and (4,)."""
+    rows = {k: _as_row(x) for k, x in (contacts or {}).items()}
+    poses = checked_poses(who, scene, None if base is None else _as_row(base), rows)
+    first = lambda x: None if x is None else x[0]
+    return Poses(first(poses.base), tuple(map(first, poses.obstacles)))
+
+
+def _as_row(given):
+    """One pose as a list of one; what is none is refused as such rows are."""
+    if isinstance(given, tuple | list) and len(given) == 2:
+        return tuple(jnp.asarray(x, dtype=float)[None] for x in given)
+    return jnp.asarray(given, dtype=float)[None]
+
+
 def _checked(who, scene, name, given):
     try:
         rows = _in_rows(given)

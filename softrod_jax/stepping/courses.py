@@ -4,6 +4,9 @@ A clamp that is moved needs a velocity beside its pose, and one that does not ju
 step: an impulse would follow. So poses are joined by cubic polynomials, whose slopes at the ends of
 steps are differences of fourth order (of third order at the last step). At first everything
 is at rest, as the rod is: the course before the first step is the mirror image of that after it.
+
+Step by step, where the next pose is not known, slopes are differences of third order that look
+back.
 """
 
 from typing import NamedTuple
@@ -96,3 +99,59 @@ def courses_of(poses: Poses, clamp) -> Courses:
 
     obstacles = tuple(course(ORIGIN, rows) for rows in poses.obstacles)
     return Courses(course(clamp, poses.base), obstacles, good)
+
+
+class Past(NamedTuple):
+    """Of one that is carried step by step: its last three poses, newest first, and its slope."""
+
+    poses: Float[Array, "3 7"]
+    slope: Float[Array, "7"]
+
+    @property
+    def pose(self) -> tuple[Float[Array, "3"], Float[Array, "4"]]:
+        """The newest: position and unit quaternion."""
+        p, h = self.poses[0, :3], self.poses[0, 3:]
+        return p, h / jnp.sqrt(h @ h)
+
+
+class Pasts(NamedTuple):
+    """Those of the base and of all obstacles, in the form of `Poses`."""
+
+    base: Past | None = None
+    obstacles: tuple[Past | None, ...] = ()
+
+
+def at_rest(pose) -> Past:
+    """Of what stands in a pose, position and quaternion."""
+    first = jnp.concatenate([jnp.asarray(x, dtype=float) for x in pose])
+    return Past(jnp.tile(first, (3, 1)), jnp.zeros(7))
+
+
+def go_on(pasts: Pasts, poses: Poses, first: Bool[Array, ""]) -> tuple[Pasts, Courses]:
+    """One step on to `poses`, (7,) each; `first`: whether it is the first one.
+
+    Where a pose cannot be, everything stays where it is.
+    """
+    given = [x for x in (poses.base, *poses.obstacles) if x is not None]
+    if not given:
+        return pasts, Courses()
+    good = jnp.all(jnp.isfinite(jnp.concatenate(given)))
+
+    def one(past, pose):
+        if past is None:
+            return None, None
+        return _gone_on(past, jnp.where(good, pose, past.poses[0]), first)
+
+    base = one(pasts.base, poses.base)
+    each = [one(*x) for x in zip(pasts.obstacles, poses.obstacles, strict=True)]
+    courses = Courses(base[1], tuple(course for _, course in each), good)
+    return Pasts(base[0], tuple(past for past, _ in each)), courses
+
+
+def _gone_on(past: Past, pose: Float[Array, "7"], first) -> tuple[Past, Course]:
+    now = _without_flips(jnp.stack([past.poses[0], pose]))[1]
+    start = past.poses[0]
+    mirrored = jnp.stack([start, now, 4 * now - 3 * start])
+    a, b, c = jnp.where(first, mirrored, past.poses)
+    slope = (11 * now - 18 * a + 9 * b - 2 * c) / 6
+    return Past(jnp.stack([now, a, b]), slope), Course(start, now, past.slope, slope)

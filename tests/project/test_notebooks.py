@@ -11,7 +11,7 @@ nbclient = pytest.importorskip("nbclient")
 
 NOTEBOOKS = sorted((Path(__file__).parents[2] / "notebooks").glob("*.ipynb"))
 # They run a program hundreds of times or ten thousand of its samples: LLVM's optimisations pay.
-OFTEN = "04_calibrate", "05_ten_thousand_actuations", "07_learning"
+OFTEN = "04_calibrate", "05_ten_thousand_actuations", "07_learning", "12_catheter"
 
 
 def read(path):

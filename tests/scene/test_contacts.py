@@ -94,6 +94,10 @@ def test_round_trip_is_exact(tmp_path):
             ["contacts[0].axis = [[0, 0, 0]]", "2 or more lists of 3 numbers"],
         ),
         (TUBE.replace("[0.0, 0.0, 0.05]", "[0, 0, 0]"), ["contacts[0].axis", "another place"]),
+        (
+            WALL + TUBE.replace("0.012", "5e-3"),
+            ["contacts[1].radius = 0.005: thinner than the rod, whose radius is 0.006 [m]"],
+        ),
         (WALL.replace('"wall"', '"a wall"'), ["contacts[0].name = 'a wall'", "letters"]),
         (WALL.replace('"wall"', '"tip"'), ["contacts[0].name = 'tip'", "taken"]),
         (WALL + MARKER, ["contacts[0].name = 'wall'", "a marker has this name"]),
@@ -142,12 +146,29 @@ def test_numbers_that_cannot_be(tmp_path):
     bad = dataclasses.replace(scene, contacts=(changed(0, stiffness=jnp.array(np.nan)),))
     with pytest.raises(ValueError, match=r"contacts\[0\].stiffness = nan"):
         checked_scene("here", bad)
-    flat = dataclasses.replace(scene.contacts[2].obstacle, axis=jnp.zeros((3, 3)))
+    tube = scene.contacts[2].obstacle
+    flat = dataclasses.replace(tube, axis=jnp.zeros((3, 3)))
+    thin = changed(2, obstacle=dataclasses.replace(tube, radius=5.9e-3))
     run = jax.jit(lambda s: (good := can_be(s), harmless_unless(good, s)))
-    for contact in (bad.contacts[0], changed(2, obstacle=flat), changed(1, stiffness=-1.0)):
+    for contact in (bad.contacts[0], changed(2, obstacle=flat), thin, changed(1, stiffness=-1.0)):
         fits, kept = run(jax.tree.map(jnp.asarray, dataclasses.replace(scene, contacts=(contact,))))
         assert not fits
         checked_scene("here", jax.tree.map(jnp.asarray, kept))
+
+
+def test_a_tube_holds_the_rod_where_that_is_thickest():
+    """At an end of a taper, in any segment, and as a hollow rod's outside."""
+    tube = sr.Contact(sr.Tube([[0.0, 0.0, 0.0], [0.0, 0.0, 0.1]], 6e-3), 1e3)
+    own = dict(young_modulus=5e4, poisson_ratio=0.49, density=1070.0, contacts=(tube,))
+    thin, thick, hollow = sr.Circle(6e-3), sr.Circle(6.1e-3), sr.Annulus(6.1e-3, 5e-3)
+    checked_scene("here", sr.Scene(0.1, thin, **own))
+    for scene in (
+        sr.Scene(0.1, thin, section_at_end=thick, **own),
+        sr.Scene(0.1, hollow, **own),
+        sr.Scene(segments=(sr.Segment(0.05, thin), sr.Segment(0.05, thick)), **own),
+    ):
+        with pytest.raises(ValueError, match=r"contacts\[0\].radius = 0.006: .* 0.0061 \[m\]"):
+            checked_scene("here", scene)
 
 
 def test_an_obstacle_of_ones_own_has_no_form_in_a_file(tmp_path):
