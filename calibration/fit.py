@@ -60,6 +60,7 @@ def calibrate(
     resume: bool = False,
     scheme: sr.SDIRK | sr.BDFAlpha = SCHEME,
     method: sr.Collocation | None = None,
+    program: Sequence[str] | None = None,
 ) -> Fit:
     """Fit numbers of `scene`, and of the bench around it, so that its tip moves as recorded.
 
@@ -107,6 +108,8 @@ def calibrate(
       `calibration.report.writing.write_report` has written the fit; `resume`: go on from it.
     - `scheme`, `method`: in time and along the rod, as for `softrod_jax.simulate`; by default the
       grid along the rod is found like `dt`.
+    - `program`: names, those of `fit` among them, of which further fits of the same scene will fit
+      others (`calibration.comparison`): they share a compiled program.
 
     A recording without inputs is a release: the rod is held straight until it is let go. One
     with inputs starts straight, or hanging in equilibrium, as its samples before the first
@@ -129,10 +132,18 @@ def calibrate(
     if one_frame:
         recordings, held_out = in_one_frame(recordings, held_out)
         fit = with_frame(scene, fit)
+        program = None if program is None else tuple(dict.fromkeys((*program, *fit)))
     data, unseen = datasets(scene, recordings, held_out, window, drift)
     resolution = Resolution(data, dt, method, tolerance)
     setup, parameters = choose_unknowns(
-        scene, data.recordings, data.labels, fit, per_recording, bounds, places=data.conditions
+        scene,
+        data.recordings,
+        data.labels,
+        fit,
+        per_recording,
+        bounds,
+        places=data.conditions,
+        program=program,
     )
     settings = options.settings(len(parameters.names))
     profiled = parameters.indices(profiles)

@@ -63,6 +63,8 @@ class PostureFit:
     - `others`: what else was measured: `Compared` by key (`calibration.postures.quantities`).
     - `unsolved`: how many rows have no equilibrium.
     - `noise_scale`: how many times larger residuals are than the noise that was stated.
+    - `numbers`: how many were measured; `effective`: how many independent ones they are worth, as
+      markers of a row, and rows of a trial, are wrong together.
     - `conflicts`: priors that the data contradict, by name: how many standard deviations apart.
     - `held_out_m` [m]: rms of trials that were kept aside in turn; `None` if nobody asked.
     - `posterior`: draws of it; `None` if nobody asked.
@@ -80,6 +82,8 @@ class PostureFit:
     others: dict[str, Compared]
     unsolved: int
     noise_scale: float
+    numbers: int
+    effective: float
     conflicts: dict[str, float]
     held_out_m: float | None
     information: Float[np.ndarray, "parameters parameters"]
@@ -252,6 +256,8 @@ def _assembled(model, search, theta, best, count, converged, held_out, begun) ->
         others=_compared(model, best),
         unsolved=int(np.sum(~best.solved)),
         noise_scale=scale,
+        numbers=numbers_of(best),
+        effective=_effective(model, r, numbers_of(best)),
         conflicts=_conflicts(search, theta, weight * flat.T @ flat),
         held_out_m=held_out,
         information=information,
@@ -290,6 +296,20 @@ def _by_clusters(model: Model, r, J, weight: float, covariance):
     sums = np.stack([scores[labels == name].sum(0) for name in names])
     meat = sums.T @ sums * len(names) / (len(names) - p)
     return np.sqrt(np.diag(covariance @ meat @ covariance))
+
+
+def _effective(model: Model, r, count: int) -> float:
+    """How many independent numbers residuals are worth: their count over how much larger sums over
+    what is wrong together are than they would be of independent ones (Kish 1965)."""
+    rows, markers = len(r), len(model.markers)
+    places = r[:, : 6 * markers].reshape(rows, 2, markers, 3).sum(2)
+    each = np.concatenate([places.reshape(rows, -1), r[:, 6 * markers :]], axis=1)
+    names, trial = np.unique(model.postures.labels, return_inverse=True)
+    sums = np.zeros((len(names), each.shape[1]))
+    np.add.at(sums, trial.ravel(), each)
+    total = max(float(np.sum(r**2)), 1e-300)
+    together = [float(np.sum(x**2)) / total for x in (each, sums)[: 1 + (len(names) > 1)]]
+    return count / max(1.0, *together)
 
 
 def _conflicts(search: Search, theta, information) -> dict[str, float]:

@@ -10,6 +10,8 @@ from pathlib import Path
 import numpy as np
 
 import softrod_jax as sr
+from calibration.inference.criteria import Verdict
+from calibration.report.comparison import comparison_html, comparison_json, comparison_text
 from calibration.report.films import write_films
 from calibration.report.granted import taken_for_granted
 from calibration.report.plots import write_plots
@@ -20,8 +22,10 @@ from calibration.report.tables import Html, table
 from calibration.report.text import interval_text, sampled, show_number
 
 
-def write_report(fit: Fit, out_dir: str | PathLike) -> Path:
+def write_report(fit: Fit, out_dir: str | PathLike, compared: Verdict | None = None) -> Path:
     """Write the fit into the directory `out_dir`, made if it is not there; returns its path.
+
+    `compared`: the verdict on the models of which this one was chosen (`calibration.comparison`).
 
     - `parameters.json`: what `as_json` gives.
     - `report.html`: the same for reading, with the plots inside.
@@ -35,11 +39,11 @@ def write_report(fit: Fit, out_dir: str | PathLike) -> Path:
     """
     out = Path(out_dir)
     out.mkdir(parents=True, exist_ok=True)
-    text = json.dumps(as_json(fit), indent=2, allow_nan=False)
+    text = json.dumps(as_json(fit, compared), indent=2, allow_nan=False)
     write_text(out / "parameters.json", text + "\n")
     pictures = write_plots(fit, out)
     films = write_films(fit, out)
-    write_text(out / "report.html", _html(fit, pictures, films))
+    write_text(out / "report.html", _html(fit, pictures, films, compared))
     sr.save_scene(fit.setup.simulated_scene(), out / "scene.toml")
     if fit.result != "interrupted":
         fit.checkpoint.remove()
@@ -56,12 +60,13 @@ def write_text(path: Path, text: str) -> None:
         partial.unlink(missing_ok=True)
 
 
-def summary(fit: Fit) -> str:
-    """As `fit.summary()`."""
-    return fit.summary()
+def summary(fit: Fit, compared: Verdict | None = None) -> str:
+    """As `fit.summary()`, after the comparison of models, if there was one."""
+    lines = [] if compared is None else [*comparison_text(compared), "", f"{compared.chosen}:"]
+    return "\n".join([*lines, fit.summary()])
 
 
-def as_json(fit: Fit) -> dict:
+def as_json(fit: Fit, compared: Verdict | None = None) -> dict:
     """The fit as plain numbers, lists and strings.
 
     "parameters", by name: value, ci95 = [low, high] (null on a side without a bound), initial,
@@ -69,8 +74,8 @@ def as_json(fit: Fit) -> dict:
     the time step and twice the grid, in half widths of the interval). "rmse_m" and "time_offset_s",
     by recording; "held_out_rmse_m", in the frame of the fit, and "held_out_rmse_own_frame_m", in
     one fitted to the recording, where it does not know its own (else null); "drift", by recording
-    and channel (`calibration.experiment.drift`), at the edges of the windows; and how the fit was
-    made.
+    and channel (`calibration.experiment.drift`), at the edges of the windows; "comparison", of
+    models (`calibration.report.comparison.comparison_json`), or null; and how the fit was made.
     """
     return {
         "result": fit.result,
@@ -111,6 +116,7 @@ def as_json(fit: Fit) -> dict:
             {"name": e.name, "rms_m": e.rms, "values": e.values, "reading": e.reading}
             for e in fit.explanations or ()
         ],
+        "comparison": None if compared is None else comparison_json(compared),
         "material": fit.material,
         "loss": fit.loss,
         "optimiser": fit.optimiser,
@@ -160,11 +166,14 @@ img { max-width: 100%; } .no { color: #b00; } li { margin: .4em 0; } small { col
 """
 
 
-def _html(fit: Fit, pictures: dict[str, Path], films: dict[str, Path]) -> str:
+def _html(
+    fit: Fit, pictures: dict[str, Path], films: dict[str, Path], compared: Verdict | None
+) -> str:
     parts = [
         "<!doctype html><html lang='en'><meta charset='utf-8'><title>Calibration</title>",
         f"<style>{STYLE}</style><h1>Calibration</h1>",
         f"<p>{_headline(fit)}</p>",
+        *comparison_html(compared),
         "<h2>Parameters</h2>",
         table(
             (
