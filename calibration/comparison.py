@@ -7,6 +7,7 @@ from typing import Any
 import jax
 import numpy as np
 
+from calibration.data.quantities import NOISE
 from calibration.data.recording import Recording
 from calibration.fit import calibrate
 from calibration.inference.criteria import Candidate, Verdict, judged
@@ -139,6 +140,11 @@ def _programs(models: Mapping[str, Model]) -> dict[str, tuple[str, ...]]:
 
 def _candidate(name: str, fit: Fit, options: Mapping) -> Candidate:
     parts = [np.nansum((r.simulated - r.measured) ** 2) for r in fit.recordings]
+    for r in fit.recordings:
+        tip = r.recording.noise.get("tip", NOISE)
+        parts += [
+            np.nansum(((x.simulated - x.measured) * tip / x.noise) ** 2) for x in r.others.values()
+        ]
     floor = (_ROUNDING * float(fit.scene.length)) ** 2
     frames = sum(r.tip_offset is not None for r in fit.recordings)
     clocks = len(fit.recordings) * bool(options.get("time_offset", True))

@@ -14,6 +14,7 @@ from calibration.data import dates, units
 from calibration.data.cells import CellError, NumberFormat
 from calibration.data.clocks import find_gaps
 from calibration.data.loads import without_noise_below_zero
+from calibration.data.other_columns import beside_the_tip, measured_beside
 from calibration.data.plausible import Source, check_pulls, check_reach
 from calibration.data.recording import TIP_COLUMNS, Recording, RecordingError
 from calibration.data.text_files import read_lines
@@ -38,10 +39,11 @@ def read_log(path: str | PathLike, scene=None, *, need_tip: bool = True) -> Reco
     tension), p1_Pa, .. (a pressure per chamber), tip_x_m, tip_y_m, tip_z_m; and anywhere after the
     time pull1_m, .. (a pull per tendon that is driven by its length). An empty cell, `nan` or `NA`
     is a missing coordinate of the tip; time and inputs must be complete. Places of the scene's
-    markers may follow, NAME_x_m, NAME_y_m, NAME_z_m, and are left unread. Rows in messages are
-    lines of the file, the header being row 1.
+    markers may follow, NAME_x_m, NAME_y_m, NAME_z_m, and are left unread. Anywhere after the time
+    may be the columns of `calibration.data.quantities` and how good they are; numbers may be
+    missing there. Rows in messages are lines of the file, the header being row 1.
     """
-    header, columns, values, lines = _table(path, scene, need_tip)
+    header, columns, values, lines, measured = _table(path, scene, need_tip)
     _check_values(values, header, columns.tip, lines, path)
     inputs: dict[str, Any] = dict.fromkeys(columns.inputs)
     inputs |= {name: values[:, own] for name, own in columns.inputs.items() if own}
@@ -62,6 +64,8 @@ def read_log(path: str | PathLike, scene=None, *, need_tip: bool = True) -> Reco
         name=Path(path).stem,
         source=str(path),
         notes=(*unseen, *clipped),
+        others=measured.others,
+        noise=measured.noise,
     )
     source = Source(
         [f"row {line}" for line in lines],
@@ -88,10 +92,12 @@ def _gaps(recording: Recording) -> list[str]:
 
 
 def _table(path, scene, need_tip):
-    """Header, which of its columns are what, values (T, columns), lines of the rows."""
+    """Header, which of its columns are what, values (T, columns), lines of the rows, and what else
+    was measured."""
     lines, encoding = read_lines(path)
     reader = csv.reader(lines, strict=True)
-    header, values, numbers = None, array("d"), []
+    header, whole, beside = None, [], set()
+    values, numbers = array("d"), []
     known, columns = 0, _Columns({}, [])
     missing = NumberFormat()
     try:
@@ -100,16 +106,16 @@ def _table(path, scene, need_tip):
                 continue
             row, line = [cell.strip() for cell in row], reader.line_num
             if header is None:
-                header = row
+                whole, beside = row, beside_the_tip(row, scene, path)
+                header = [name for j, name in enumerate(row) if j not in beside]
                 known = len(header) - _marker_columns(header, scene)
                 columns = _columns(header[:known], path, scene, need_tip, encoding)
                 continue
-            if len(row) != len(header):
+            if len(row) != len(whole):
                 raise RecordingError(
-                    f"{path}: row {line}: {len(row)} cells, and the header has {len(header)} "
-                    "columns"
+                    f"{path}: row {line}: {len(row)} cells, and the header has {len(whole)} columns"
                 )
-            for name, text in zip(header, row, strict=True):
+            for name, text in zip(whole, row, strict=True):
                 values.append(_number(text, missing, f"{path}: row {line}, column {name}", name))
             numbers.append(line)
     except csv.Error as e:
@@ -120,8 +126,10 @@ def _table(path, scene, need_tip):
         )
     if not numbers:
         raise RecordingError(f"{path}: a header and no rows: nothing was recorded")
-    table = np.array(values).reshape(len(numbers), len(header))
-    return header[:known], columns, table[:, :known], numbers
+    table = np.array(values).reshape(len(numbers), len(whole))
+    measured = measured_beside({whole[j]: table[:, j] for j in beside}, scene, path)
+    table = np.delete(table, list(beside), axis=1)
+    return header[:known], columns, table[:, :known], numbers, measured
 
 
 def _marker_columns(header: list[str], scene) -> int:

@@ -17,8 +17,8 @@ from calibration.postures.fitting import PostureFit
 from calibration.report.comparison import comparison_html, comparison_json
 from calibration.report.provenance import provenance
 from calibration.report.tables import table
-from calibration.report.text import as_rows
-from calibration.report.writing import STYLE, estimate_as_json, plain, write_text
+from calibration.report.text import as_rows, others_text
+from calibration.report.writing import STYLE, estimate_as_json, others_json, plain, write_text
 
 _MEASURED, _SIMULATED = "#1f77b4", "#d62728"
 _WORST = 8
@@ -60,10 +60,7 @@ def posture_json(fit: PostureFit, compared: Verdict | None = None) -> dict:
         "parameters": {name: estimate_as_json(e) for name, e in fit.parameters.items()},
         "rmse_m": {name: plain(_rms(fit, rows)) for name, rows in _logs(fit).items()},
         "rmse_by_marker_m": {name: plain(x) for name, x in fit.rmse_by_marker.items()},
-        "others": {
-            key: {"rms": plain(x.rms), "unit": x.unit, "rms_by_noise": plain(x.rms / x.noise)}
-            for key, x in fit.others.items()
-        },
+        "others": others_json(fit.others),
         "held_out_rmse_m": plain(fit.held_out_m),
         "comparison": None if compared is None else comparison_json(compared),
         "posterior": _posterior(fit),
@@ -102,10 +99,7 @@ def posture_summary(fit: PostureFit) -> str:
     lines += [f"{n}: {1e3 * x:.3g} mm rms" for n, x in fit.rmse_by_marker.items()]
     if fit.markers:
         lines.append(f"all: {1e3 * fit.rmse_m:.3g} mm rms over {fit.postures.rows} postures")
-    lines += [
-        f"{key}: {x.rms:.3g} {x.unit} rms, {x.rms / x.noise:.2g} times the noise"
-        for key, x in fit.others.items()
-    ]
+    lines += others_text(fit.others)
     if fit.posterior is not None:
         for name, ends in fit.posterior.ci95.items():
             low, high = (", ".join(f"{x:.4g}" for x in np.ravel(end)) for end in ends)

@@ -39,7 +39,7 @@ class Point:
 
     @cached_property
     def residuals(self) -> Float[np.ndarray, "coordinates"]:
-        """Weighted, (recordings * samples * 3,) [m]."""
+        """Weighted, of all that was measured [m]."""
         return (self.problem.statistics.weights * self.evaluation.residuals).ravel()
 
     @cached_property
@@ -106,7 +106,9 @@ class Point:
     @property
     def rms(self) -> float:
         """Root mean square distance between measured and simulated tip [m]."""
-        return float(np.sqrt(self.misfit / self.problem.statistics.samples))
+        statistics = self.problem.statistics
+        apart = (statistics.weights * self.evaluation.residuals)[..., :3]
+        return float(np.sqrt(np.sum(apart**2) / statistics.samples))
 
     @property
     def explains(self) -> bool:
@@ -178,7 +180,7 @@ class Problem:
         given = self.prior_variance
         return self.statistics.noise**2 if given is None else given
 
-    def weighted(self, weights: Float[np.ndarray, "recordings samples 3"]) -> "Problem":
+    def weighted(self, weights: Float[np.ndarray, "recordings samples all"]) -> "Problem":
         """The same problem with other weights."""
         batch = eqx.tree_at(lambda b: b.weights, self.batch, jnp.asarray(weights))
         return replace(self, batch=batch)

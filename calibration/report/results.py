@@ -1,9 +1,10 @@
 """What a calibration hands back: numbers with intervals and verdicts, and how they came about."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
+from jaxtyping import Float
 
 import softrod_jax as sr
 from calibration.data.recording import Recording
@@ -48,6 +49,25 @@ class Estimate:
 
 
 @dataclass(frozen=True, eq=False)
+class Compared:
+    """A quantity, (rows, numbers), simulated and measured, NaN where missing; `rms` of their
+    difference, and `noise`, as stated; all in `unit`."""
+
+    simulated: Float[np.ndarray, "rows numbers"]
+    measured: Float[np.ndarray, "rows numbers"]
+    rms: float
+    noise: float
+    unit: str
+
+
+def compared(simulated, measured, noise: float, unit: str) -> Compared:
+    """The two side by side."""
+    both = np.isfinite(simulated - measured)
+    rms = float(np.sqrt(np.mean((simulated - measured)[both] ** 2))) if both.any() else np.nan
+    return Compared(simulated, measured, rms, noise, unit)
+
+
+@dataclass(frozen=True, eq=False)
 class RodMotion:
     """The rod's simulated motion, as it is drawn, and what was seen of it.
 
@@ -75,6 +95,7 @@ class RecordingFit:
     - `times` [s], the recording's clock; `measured` and `simulated` [m], (n, 3); NaN where a
       coordinate is missing. The simulated tip is seen in the recording's frame.
     - `weights`, (n, 3): 1, less for outliers if the loss is robust.
+    - `others`: what else was measured: `Compared` by key (`calibration.data.quantities`).
     - `curve_times` [s] and `curve` [m]: the simulated tip on a fine grid, for plots.
     - `rmse` [m]: root mean square distance, every sample counting the same; `rmse_axes` [m], (3,).
     - `time_offset` [s]: for a recording with inputs, how much later than its inputs the tip's
@@ -106,6 +127,7 @@ class RecordingFit:
     tip_offset: np.ndarray | None
     frame_rotation: np.ndarray | None
     motion: RodMotion
+    others: Mapping[str, Compared] = field(default_factory=dict)
     beginning: str = ""
     frame_fitted: bool = True
     rmse_own_frame: float | None = None

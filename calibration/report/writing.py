@@ -3,6 +3,7 @@
 import base64
 import json
 import os
+from collections.abc import Mapping
 from html import escape
 from os import PathLike
 from pathlib import Path
@@ -17,7 +18,7 @@ from calibration.report.granted import taken_for_granted
 from calibration.report.plots import write_plots
 from calibration.report.provenance import provenance
 from calibration.report.remarks import remarks
-from calibration.report.results import Estimate, Fit
+from calibration.report.results import Compared, Estimate, Fit
 from calibration.report.tables import Html, table
 from calibration.report.text import interval_text, sampled, show_number
 
@@ -75,7 +76,8 @@ def as_json(fit: Fit, compared: Verdict | None = None) -> dict:
     by recording; "held_out_rmse_m", in the frame of the fit, and "held_out_rmse_own_frame_m", in
     one fitted to the recording, where it does not know its own (else null); "drift", by recording
     and channel (`calibration.experiment.drift`), at the edges of the windows; "comparison", of
-    models (`calibration.report.comparison.comparison_json`), or null; and how the fit was made.
+    models (`calibration.report.comparison.comparison_json`), or null; "others", by recording, what
+    is left of what else was measured; and how the fit was made.
     """
     return {
         "result": fit.result,
@@ -84,6 +86,7 @@ def as_json(fit: Fit, compared: Verdict | None = None) -> dict:
         "held_out_rmse_m": {r.name: r.rmse for r in fit.held_out},
         "held_out_rmse_own_frame_m": {r.name: r.rmse_own_frame for r in fit.held_out},
         "rmse_axes_m": {r.name: plain(r.rmse_axes) for r in fit.recordings},
+        "others": {r.name: others_json(r.others) for r in (*fit.recordings, *fit.held_out)},
         "samples": {r.name: sampled(r) for r in fit.recordings},
         "window_s": {r.name: [r.selection.start, r.selection.end] for r in fit.recordings},
         "time_offset_s": fit.time_offset_s,
@@ -147,6 +150,14 @@ def estimate_as_json(e: Estimate) -> dict:
     }
 
 
+def others_json(others: Mapping[str, Compared]) -> dict:
+    """What is left of what else was measured, by key."""
+    return {
+        key: {"rms": plain(x.rms), "unit": x.unit, "rms_by_noise": plain(x.rms / x.noise)}
+        for key, x in others.items()
+    }
+
+
 def plain(value):
     """Lists and floats; None for what is absent or not a number."""
     if value is None:
@@ -204,6 +215,7 @@ def _html(
         "much later than the inputs the tip's clock says they began. Samples used: "
         + "; ".join(sorted({escape(r.selection.rule) for r in fit.recordings}))
         + ".</small></p>",
+        *_others(fit),
         *_notes(fit),
         *_held_out(fit),
         *_starts(fit),
@@ -237,6 +249,17 @@ def _headline(fit: Fit) -> str:
         f"{1e3 * worst:.3g} mm rms from the measured one"
         + (" in the worst of them." if len(fit.recordings) > 1 else ".")
     )
+
+
+def _others(fit: Fit) -> list[str]:
+    """What else was measured."""
+    rows = [
+        (r.name, key, f"{x.rms:.4g}", x.unit, f"{x.rms / x.noise:.2f}")
+        for r in (*fit.recordings, *fit.held_out)
+        for key, x in r.others.items()
+    ]
+    head = ("recording", "measured, too", "rms left", "unit", "times the noise stated")
+    return [table(head, rows)] if rows else []
 
 
 def _notes(fit: Fit) -> list[str]:

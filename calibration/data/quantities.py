@@ -1,4 +1,4 @@
-"""What is measured of an equilibrium besides markers: tensions, the wrench at the base, curvatures.
+"""What is measured besides the places of markers: tensions, the wrench at the base, curvatures.
 
 - `tensionK`: of tendon K, counted from 1 over all tendons, at its actuator's end, as a load cell
   between actuator and robot has it; columns `tensionK_N`.
@@ -8,13 +8,13 @@
   gratings have it; columns `NAME_ux_per_m`, .. Any of the three components may be missing.
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass
-
-import jax.numpy as jnp
-from jaxtyping import Array, Float
 
 import softrod_jax as sr
 
+# The noise of a marker where nothing is said [m], against which all others are weighed.
+NOISE = 1e-3
 _XYZ = ("x", "y", "z")
 
 
@@ -54,15 +54,14 @@ def _all(names, unit: str) -> tuple[str, ...]:
     return tuple(f"{name}_{unit}" for name in names)
 
 
-def simulated(scene: sr.Scene, solution: sr.StaticSolution, key: str) -> Float[Array, "numbers"]:
-    """The quantity `key` of an equilibrium of `scene`."""
-    if key == "base_force":
-        return solution.wrenches[0, :3]
-    if key == "base_moment":
-        return solution.wrenches[0, 3:]
-    if key.startswith("tension") and key[7:].isdigit():
-        return solution.tensions[int(key[7:]) - 1][None]
-    name = key.removesuffix("_curvature")
-    places = {marker.name: marker.at for marker in scene.markers or ()}
-    at = jnp.asarray(places.get(name, scene.length))
-    return solution.strain_at(at)[3:]
+def unit_noise(scene: sr.Scene, keys, said: Mapping[str, float]) -> list[float]:
+    """The standard deviation of each number of the quantities `keys`, as `said` by key or usual.
+
+    Raises `ValueError` for a key that the scene does not have.
+    """
+    known, found = quantities_of(scene), []
+    for key in keys:
+        if key not in known:
+            raise ValueError(f"{key!r} is no measurement; known: {', '.join(known)}")
+        found += [said.get(key, known[key].noise)] * len(known[key].columns)
+    return found
