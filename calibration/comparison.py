@@ -7,7 +7,7 @@ from typing import Any
 import jax
 import numpy as np
 
-from calibration.data.quantities import NOISE
+from calibration.data.quantities import NOISE, TURN
 from calibration.data.recording import Recording
 from calibration.fit import calibrate
 from calibration.inference.criteria import Candidate, Verdict, judged
@@ -142,9 +142,9 @@ def _candidate(name: str, fit: Fit, options: Mapping) -> Candidate:
     parts = [np.nansum((r.simulated - r.measured) ** 2) for r in fit.recordings]
     for r in fit.recordings:
         tip = r.recording.noise.get("tip", NOISE)
-        parts += [
-            np.nansum(((x.simulated - x.measured) * tip / x.noise) ** 2) for x in r.others.values()
-        ]
+        for key, x in r.others.items():
+            noise = x.noise / 2 if key.endswith(TURN) else x.noise
+            parts.append(np.nansum(((x.simulated - x.measured) * tip / noise) ** 2))
     floor = (_ROUNDING * float(fit.scene.length)) ** 2
     frames = sum(r.tip_offset is not None for r in fit.recordings)
     clocks = len(fit.recordings) * bool(options.get("time_offset", True))

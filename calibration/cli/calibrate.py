@@ -176,6 +176,7 @@ def _recordings(args, paths, scene):
             ("tip_markers", args.tip_markers),
             ("base_markers", args.base_markers),
             ("axes", args.axes),
+            ("tip_body", args.tip_body or None),
         )
         if value is not None
     }

@@ -226,6 +226,12 @@ def _add_c3d(c3d) -> None:
         help="how the clamp markers' labels begin (base); none: do not use them",
     )
     c3d.add_argument(
+        "--tip-body",
+        action="store_true",
+        help="the tip markers, three or more, are on one body: its pose is measured, place and "
+        "attitude",
+    )
+    c3d.add_argument(
         "--axes",
         metavar="AXES",
         help="which axes of the file are the scene's x, y, z (x,y,z); with a leading minus, "

@@ -1,11 +1,12 @@
-"""Columns of a log that are measured besides the tip: tensions, the base wrench, curvatures."""
+"""Columns of a log that are measured besides the tip: tensions, the base wrench, curvatures, and
+markers."""
 
 from collections.abc import Mapping
 from typing import NamedTuple
 
 import numpy as np
 
-from calibration.data.quantities import quantities_of
+from calibration.data.quantities import quantities_in_motion
 from calibration.data.recording import RecordingError
 
 _TIP_NOISE = "tip_noise_m"
@@ -25,7 +26,7 @@ def beside_the_tip(header: list[str], scene, path) -> set[int]:
     if scene is None:
         return set()
     known = {_TIP_NOISE}
-    for quantity in quantities_of(scene).values():
+    for quantity in quantities_in_motion(scene).values():
         known |= {*quantity.columns, quantity.noise_column}
     found = {j for j, name in enumerate(header) if j > 0 and name in known}
     for j in found:
@@ -40,7 +41,7 @@ def measured_beside(columns: Mapping[str, np.ndarray], scene, path) -> Measured:
     found = Measured({}, {})
     if not columns:
         return found
-    for key, quantity in quantities_of(scene).items():
+    for key, quantity in quantities_in_motion(scene).items():
         there = [c for c in quantity.columns if c in columns]
         if there:
             rows = len(columns[there[0]])

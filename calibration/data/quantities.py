@@ -6,15 +6,20 @@
   carries the base, about the clamp and along its axes; columns `base_fx_N`, .., `base_mz_Nm`.
 - `NAME_curvature`: of the rod at the place of a marker, along the axes of its section, as fibre
   gratings have it; columns `NAME_ux_per_m`, .. Any of the three components may be missing.
+- `NAME_position`, of motions, as postures have them by the marker's name: where a marker other than
+  the tip is; columns `NAME_x_m`, .. `NAME_attitude`, likewise: its quaternion (w, x, y, z), or the
+  tip's; columns `NAME_qw`, ..
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import softrod_jax as sr
 
 # The noise of a marker where nothing is said [m], against which all others are weighed.
 NOISE = 1e-3
+# How keys of motions end.
+PLACE, TURN = "_position", "_attitude"
 _XYZ = ("x", "y", "z")
 
 
@@ -54,14 +59,45 @@ def _all(names, unit: str) -> tuple[str, ...]:
     return tuple(f"{name}_{unit}" for name in names)
 
 
-def unit_noise(scene: sr.Scene, keys, said: Mapping[str, float]) -> list[float]:
+def quantities_in_motion(scene: sr.Scene) -> dict[str, Quantity]:
+    """Everything that can be measured of a scene's motions besides the place of the tip, by key:
+    what can be of equilibria, and markers."""
+    found = list(quantities_of(scene).values())
+    for name in ("tip", *(marker.name for marker in scene.markers or ())):
+        if name != "tip":
+            place = _all([f"{name}_{a}" for a in _XYZ], "m")
+            found.append(Quantity(f"{name}{PLACE}", place, "m", NOISE, f"{name}_noise_m"))
+        turn = tuple(f"{name}_q{a}" for a in ("w", *_XYZ))
+        found.append(Quantity(f"{name}{TURN}", turn, "rad", 0.01, f"{name}_noise_rad"))
+    return {q.key: q for q in found}
+
+
+def numbers_of(keys: Sequence[str]) -> dict[str, slice]:
+    """Which numbers are of which key, where they stand one after the other."""
+    found, at = {}, 0
+    for key in keys:
+        count = 4 if key.endswith(TURN) else 1 if is_tension(key) else 3
+        found[key] = slice(at, at + count)
+        at += count
+    return found
+
+
+def is_tension(key: str) -> bool:
+    return key.startswith("tension") and key[7:].isdigit()
+
+
+def unit_noise(
+    known: Mapping[str, Quantity], keys: Sequence[str], said: Mapping[str, float]
+) -> list[float]:
     """The standard deviation of each number of the quantities `keys`, as `said` by key or usual.
 
-    Raises `ValueError` for a key that the scene does not have.
+    The numbers of a quaternion change by half an angle. Raises `ValueError` for a key that is not
+    `known`.
     """
-    known, found = quantities_of(scene), []
+    found = []
     for key in keys:
         if key not in known:
             raise ValueError(f"{key!r} is no measurement; known: {', '.join(known)}")
-        found += [said.get(key, known[key].noise)] * len(known[key].columns)
+        noise = said.get(key, known[key].noise)
+        found += [noise / 2 if key.endswith(TURN) else noise] * len(known[key].columns)
     return found

@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 import softrod_jax as sr
-from calibration.data.quantities import unit_noise
+from calibration.data.quantities import quantities_of, unit_noise
 from calibration.experiment.quantities import simulated
 from calibration.experiment.setup import Setup, rotated
 from calibration.parameters.catalogue import moved, parameters_of
@@ -119,7 +119,7 @@ class Model:
     def noise(self) -> Noise:
         """Raises `ValueError` for a key that the scene does not have."""
         said = self.postures.noise
-        others = unit_noise(self.setup.scene, self.others, said)
+        others = unit_noise(quantities_of(self.setup.scene), self.others, said)
         positions = [said.get(name, NOISE) for name in self.markers]
         attitudes = [said.get(attitude_of(name), TURN) for name in self.markers]
         return Noise(*(jnp.asarray(x, dtype=float) for x in (positions, attitudes, others)))

@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 import softrod_jax as sr
-from calibration.data.quantities import NOISE, quantities_of, unit_noise
+from calibration.data.quantities import NOISE, numbers_of, quantities_in_motion, unit_noise
 from calibration.data.recording import RecordingError
 from calibration.data.selection import kept
 from calibration.experiment import drift
@@ -90,7 +90,7 @@ def make_batch(
     steps, samples, windows = _sizes(data, clocks, like)
     keys = _keys(data, like)
     factors = np.array([_factors(scene, r, keys) for r in data.recordings])
-    times, measured, used = _measured(scene, data, clocks, samples, keys)
+    times, measured, used = _measured(data, clocks, samples, keys)
     hanging = np.array([hangs(scene, r) for r in data.recordings])
     batch = Batch(
         dt=jnp.array([c.dt for c in clocks]),
@@ -150,22 +150,24 @@ def _factors(scene: sr.Scene, recording, keys) -> list[float]:
     """See `Batch`; raises `RecordingError` for a key that the scene does not have."""
     tip = recording.noise.get("tip", NOISE)
     try:
-        return [1.0] * 3 + [tip / x for x in unit_noise(scene, keys, recording.noise)]
+        return [1.0] * 3 + [
+            tip / x for x in unit_noise(quantities_in_motion(scene), keys, recording.noise)
+        ]
     except ValueError as e:
         raise RecordingError(f"{recording.source or recording.name}: {e}") from None
 
 
-def _measured(scene, data: Dataset, clocks: Sequence[Clock], samples: int, keys):
+def _measured(data: Dataset, clocks: Sequence[Clock], samples: int, keys):
     """Times [s], (recordings, samples), tips [m] and what else was measured, and which of all that
     was, (recordings, samples, 3 + numbers); 0 where nothing was."""
     shape = (len(data), samples)
-    count = len(unit_noise(scene, keys, {}))
-    times, all_ = np.zeros(shape), np.zeros((*shape, 3 + count))
+    counts = {key: own.stop - own.start for key, own in numbers_of(keys).items()}
+    times, all_ = np.zeros(shape), np.zeros((*shape, 3 + sum(counts.values())))
     used = np.zeros(all_.shape, dtype=bool)
     for i, (r, s, c) in enumerate(zip(data.recordings, data.selections, clocks, strict=True)):
         chosen = kept(r, s)
-        n, known = int(np.sum(chosen)), quantities_of(scene)
-        nothing = lambda key, n=n: np.full((n, len(known[key].columns)), np.nan)
+        n = int(np.sum(chosen))
+        nothing = lambda key, n=n: np.full((n, counts[key]), np.nan)
         parts = [r.others[k][chosen] if k in r.others else nothing(k) for k in keys]
         measured = np.concatenate([r.tip_positions[chosen], *parts], axis=1)
         times[i, :n] = r.times[chosen] - c.origin

@@ -49,8 +49,8 @@ class Evaluation(eqx.Module):
       what else was measured.
     - `by_parameter`, (recordings, samples, all, parameters), and `by_nuisance`, its leaves
       (recordings, samples, all, ..) by those of the nuisance parameters, see `evaluate`:
-      derivatives of the residuals, by forward mode. By reverse mode, (recordings, parameters) [m^2] and
-      (recordings, ..): derivatives of each recording's sum of squared weighted residuals.
+      derivatives of the residuals, by forward mode. By reverse mode, (recordings, parameters)
+      [m^2] and (recordings, ..): derivatives of each recording's sum of squared weighted residuals.
     - `alignment`: what was added to the simulated tip to get there.
     - `motion`: the simulated tips, before that.
     """

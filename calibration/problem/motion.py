@@ -84,7 +84,7 @@ def simulate_motion(setup: Setup, batch: Batch, scheme, method) -> Motion:
         velocities = velocities + rotated(attitude, turning)
     positions, velocities = setup.seen_position(positions), setup.seen_direction(velocities)
     error = jax.lax.stop_gradient(jnp.max(trajectory.stats["error"]))
-    others = [simulated_in_time(trajectory, key) for key in batch.keys]
+    others = [simulated_in_time(setup, trajectory, key) for key in batch.keys]
     return Motion(
         positions,
         velocities,

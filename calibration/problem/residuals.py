@@ -9,7 +9,9 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 import softrod_jax as sr
+from calibration.data.quantities import numbers_of
 from calibration.experiment.alignment import Alignment, align
+from calibration.experiment.quantities import aligned, apart
 from calibration.problem.batch import Batch
 from calibration.problem.motion import Motion, others_at, tip_at
 
@@ -43,10 +45,19 @@ def residual(
     r = jnp.where(used, r, 0.0)
     if recording.keys:
         # One that failed is bad enough by its tip.
-        beside = others_at(motion, recording.dt, times) - recording.others
+        beside = _beside(others_at(motion, recording.dt, times), motion, recording, alignment)
         beside = jnp.where(recording.used[:, 3:] & ok, beside, 0.0)
         r = jnp.concatenate([r, beside], axis=1)
     return r, alignment
+
+
+def _beside(simulated, motion: Motion, recording: Batch, alignment: Alignment):
+    """Of what else was measured simulated minus measured, (samples, numbers)."""
+    start, parts = motion.positions[0], []
+    for key, own in numbers_of(recording.keys).items():
+        there = aligned(simulated[:, own], key, alignment, start)
+        parts.append(apart(there, recording.others[:, own], key))
+    return jnp.concatenate(parts, axis=1)
 
 
 @jax.jit

@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from calibration.data.quantities import quantities_of
+from calibration.data.quantities import TURN, numbers_of, quantities_in_motion
 from calibration.data.selection import kept
 from calibration.experiment.beginning import beginning
 from calibration.experiment.drift import Drift, drifts
@@ -99,18 +99,18 @@ def recording_fit(
 
 def _others(best: Point, k: int, recording, samples: int) -> dict[str, Compared]:
     """What else was measured in recording `k`, by key."""
-    problem, found, at = best.problem, {}, 0
-    known = quantities_of(problem.scene)
-    for key in problem.batch.keys:
-        own = slice(at, at + len(known[key].columns))
-        at = own.stop
+    problem, found = best.problem, {}
+    known = quantities_in_motion(problem.scene)
+    for key, own in numbers_of(problem.batch.keys).items():
         if key not in recording.others:
             continue
         there = np.asarray(problem.batch.used)[k, :samples, 3:][:, own]
         measured = np.where(there, np.asarray(problem.batch.others)[k, :samples, own], np.nan)
         simulated = measured + best.evaluation.residuals[k, :samples, 3:][:, own]
         noise = recording.noise.get(key, known[key].noise)
-        found[key] = compared(simulated, measured, noise, known[key].unit)
+        # Four numbers of a quaternion, which change by half an angle, for three angles.
+        size = 4 / np.sqrt(3) if key.endswith(TURN) else 1.0
+        found[key] = compared(simulated, measured, noise, known[key].unit, size)
     return found
 
 

@@ -60,11 +60,11 @@ class Compared:
     unit: str
 
 
-def compared(simulated, measured, noise: float, unit: str) -> Compared:
-    """The two side by side."""
+def compared(simulated, measured, noise: float, unit: str, size: float = 1.0) -> Compared:
+    """The two side by side; `size`: of the rms in `unit`, where the numbers have another one."""
     both = np.isfinite(simulated - measured)
     rms = float(np.sqrt(np.mean((simulated - measured)[both] ** 2))) if both.any() else np.nan
-    return Compared(simulated, measured, rms, noise, unit)
+    return Compared(simulated, measured, size * rms, noise, unit)
 
 
 @dataclass(frozen=True, eq=False)
