@@ -44,7 +44,8 @@ def _add_what(parser) -> None:
         "--fit",
         metavar="NAME,..",
         help="parameters to fit, see below (default: those of young_modulus, bending_damping and "
-        "drag_coefficient that the scene has)",
+        "drag_coefficient that the scene has; of a rubber young_modulus is that at small strain, "
+        "all its constants in the proportion that they have in the file)",
     )
     parser.add_argument(
         "--per-recording",

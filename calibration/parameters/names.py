@@ -12,7 +12,7 @@ LAWS = {
 USUAL = ("viscous", "one-branch", "two-branches")
 
 NAMES = {
-    "young_modulus": "Young's modulus",
+    "young_modulus": "of a rubber, at small strain",
     "poisson_ratio": "Poisson's ratio",
     "density": "density",
     "length": "of a rod without segments",
