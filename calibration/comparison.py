@@ -65,6 +65,8 @@ def compare(
             f"compare: loss={options['loss']!r}: weights would differ from model to model; "
             "compare by squares, without the outliers"
         )
+    if options.get("postures") is not None:
+        raise ValueError("compare: postures beside motions are not counted; compare each alone")
     by_model = _own_options(models, options)
     shared = {} if options.get("explain") else _programs(models)
     fits, troubles = {}, {}

@@ -48,6 +48,8 @@ def run(args) -> int:
     for text, reads in ((args.bounds, bound_in), (args.prior, prior_in), (args.drift, _drift)):
         for part in text or ():
             reads(part)
+    if args.compare is not None and args.with_postures:
+        raise UsageError("--with-postures: not with --compare, which does not count them")
     if args.compare is not None and args.resume:
         raise UsageError("--resume: not with --compare, which keeps no checkpoints; leave one out")
     prepare_jax()
@@ -108,6 +110,7 @@ def _fitted(args, scene, recordings, held_out, out: Path):
     options = _options(args, held_out)
     if args.compare is None:
         kept = dict(checkpoint=out / _CHECKPOINT, resume=args.resume)
+        kept |= dict(postures=_postures(args, scene))
         priors = _priors(args, scene)
         names = names_in(args.fit) or None
         return calibrate(scene, recordings, fit=names, priors=priors, **kept, **options), None
@@ -118,6 +121,16 @@ def _fitted(args, scene, recordings, held_out, out: Path):
     fitted = {name for model in models.values() for name in model.names}
     found = compare(models, recordings, told=told, priors=_known(args, fitted), **options)
     return found.best, found.verdict
+
+
+def _postures(args, scene):
+    """Those that are fitted together with the motions."""
+    from calibration.data.trials import files_of
+    from calibration.postures.data import joined, load_postures
+
+    if not args.with_postures:
+        return None
+    return joined([load_postures(log, scene) for log in files_of(args.with_postures)])
 
 
 def _options(args, held_out) -> dict:

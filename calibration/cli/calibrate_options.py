@@ -98,6 +98,12 @@ def _add_postures(postures) -> None:
         help="logs of which each row is an equilibrium, not a moment of a motion",
     )
     postures.add_argument(
+        "--with-postures",
+        metavar="LOG",
+        nargs="+",
+        help="such logs, fitted together with the motions, to the parameters that all share",
+    )
+    postures.add_argument(
         "--folds",
         type=_count,
         metavar="N",

@@ -19,6 +19,7 @@ _FOR_MOTIONS += (
     "split",
     "drift",
     "tolerance",
+    "with_postures",
 )
 
 

@@ -126,7 +126,7 @@ class _Wider:
             places=problem.batch.conditions,
         )
         space = replace(problem.space, parameters=parameters)
-        wider = replace(problem, setup=setup, space=space)
+        wider = replace(problem, setup=setup, space=space, beside=None)
         place = {u.label: i for i, u in enumerate(parameters.items)}
         x = space.origin()
         old = [place[u.label] for u in problem.space.parameters.items]

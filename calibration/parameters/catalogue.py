@@ -15,8 +15,8 @@ import numpy as np
 
 import softrod_jax as sr
 from calibration.experiment.setup import Setup
-from calibration.parameters.names import NAMES
 from calibration.parameters.modulus import Modulus, is_rubber
+from calibration.parameters.names import NAMES
 from calibration.parameters.parameter import AbstractParameter, Parameter
 from calibration.parameters.paths import is_path, path_parameter
 from calibration.parameters.scales import Between, Factor, Shift

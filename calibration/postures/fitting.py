@@ -28,6 +28,7 @@ from calibration.postures.search import (
     LEAST_SCALE,
     Search,
     covariance_of,
+    effective_of,
     noise_scale_of,
     numbers_of,
 )
@@ -245,7 +246,7 @@ def _assembled(model, search, theta, best, count, converged, held_out, begun) ->
         unsolved=int(np.sum(~best.solved)),
         noise_scale=scale,
         numbers=numbers_of(best),
-        effective=_effective(model, r, numbers_of(best)),
+        effective=effective_of(model, best),
         conflicts=_conflicts(search, theta, weight * flat.T @ flat),
         held_out_m=held_out,
         information=information,
@@ -282,20 +283,6 @@ def _by_clusters(model: Model, r, J, weight: float, covariance):
     sums = np.stack([scores[labels == name].sum(0) for name in names])
     meat = sums.T @ sums * len(names) / (len(names) - p)
     return np.sqrt(np.diag(covariance @ meat @ covariance))
-
-
-def _effective(model: Model, r, count: int) -> float:
-    """How many independent numbers residuals are worth: their count over how much larger sums over
-    what is wrong together are than they would be of independent ones (Kish 1965)."""
-    rows, markers = len(r), len(model.markers)
-    places = r[:, : 6 * markers].reshape(rows, 2, markers, 3).sum(2)
-    each = np.concatenate([places.reshape(rows, -1), r[:, 6 * markers :]], axis=1)
-    names, trial = np.unique(model.postures.labels, return_inverse=True)
-    sums = np.zeros((len(names), each.shape[1]))
-    np.add.at(sums, trial.ravel(), each)
-    total = max(float(np.sum(r**2)), 1e-300)
-    together = [float(np.sum(x**2)) / total for x in (each, sums)[: 1 + (len(names) > 1)]]
-    return count / max(1.0, *together)
 
 
 def _conflicts(search: Search, theta, information) -> dict[str, float]:

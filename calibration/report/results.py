@@ -133,6 +133,24 @@ class RecordingFit:
     rmse_own_frame: float | None = None
 
 
+@dataclass(frozen=True)
+class PosturesFit:
+    """What is left of equilibria that were fitted together with motions.
+
+    - `name`, `source`: of the logs; `rows`, and of how many there is no equilibrium, `unsolved`.
+    - `rmse_m` [m]: root mean square distance of all markers; `rmse_by_marker`, by name.
+    - `noise_scale`: how many times larger residuals are than the noise that was stated.
+    """
+
+    name: str
+    source: str
+    rows: int
+    unsolved: int
+    rmse_m: float
+    rmse_by_marker: Mapping[str, float]
+    noise_scale: float
+
+
 @dataclass(frozen=True, eq=False)
 class Fit:
     """The outcome of `calibrate`.
@@ -154,6 +172,7 @@ class Fit:
       `resolution_note`: what finer simulations say, if it is more than shifts of parameters.
     - `priors`: mean and standard deviation of what was known beforehand, by parameter; `conflicts`:
       those that the recordings contradict, and by how many standard deviations.
+    - `postures`: equilibria that were fitted as well; None without any.
     - `checkpoint`: that of the fit, for `calibration.report.writing.write_report` to remove.
     - `seconds`: how long the fit took.
     """
@@ -183,6 +202,7 @@ class Fit:
     conflicts: Mapping[str, float]
     checkpoint: Checkpoint
     seconds: float
+    postures: PosturesFit | None = None
 
     def summary(self) -> str:
         """The parameters and what is left of each recording, as lines of text."""

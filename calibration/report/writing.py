@@ -18,9 +18,9 @@ from calibration.report.granted import taken_for_granted
 from calibration.report.plots import write_plots
 from calibration.report.provenance import provenance
 from calibration.report.remarks import remarks
-from calibration.report.results import Compared, Estimate, Fit
+from calibration.report.results import Compared, Estimate, Fit, PosturesFit
 from calibration.report.tables import Html, table
-from calibration.report.text import interval_text, sampled, show_number
+from calibration.report.text import interval_text, postures_text, sampled, show_number
 
 
 def write_report(fit: Fit, out_dir: str | PathLike, compared: Verdict | None = None) -> Path:
@@ -86,6 +86,7 @@ def as_json(fit: Fit, compared: Verdict | None = None) -> dict:
         "held_out_rmse_m": {r.name: r.rmse for r in fit.held_out},
         "held_out_rmse_own_frame_m": {r.name: r.rmse_own_frame for r in fit.held_out},
         "rmse_axes_m": {r.name: plain(r.rmse_axes) for r in fit.recordings},
+        "postures": None if fit.postures is None else _postures_json(fit.postures),
         "others": {r.name: others_json(r.others) for r in (*fit.recordings, *fit.held_out)},
         "samples": {r.name: sampled(r) for r in fit.recordings},
         "window_s": {r.name: [r.selection.start, r.selection.end] for r in fit.recordings},
@@ -131,7 +132,7 @@ def as_json(fit: Fit, compared: Verdict | None = None) -> dict:
         "intervals": fit.method.intervals,
         "seconds": fit.seconds,
         "remarks": remarks(fit),
-        "made_by": provenance(r.recording.source for r in (*fit.recordings, *fit.held_out)),
+        "made_by": provenance(_sources(fit)),
     }
 
 
@@ -147,6 +148,21 @@ def estimate_as_json(e: Estimate) -> dict:
         "recording": e.recording,
         "step_shift": plain(e.step_shift),
         "grid_shift": plain(e.grid_shift),
+    }
+
+
+def _sources(fit: Fit) -> list[str]:
+    own = [r.recording.source for r in (*fit.recordings, *fit.held_out)]
+    return own if fit.postures is None else [*own, *fit.postures.source.split("\n")]
+
+
+def _postures_json(postures: PosturesFit) -> dict:
+    return {
+        "rows": postures.rows,
+        "unsolved": postures.unsolved,
+        "rmse_m": plain(postures.rmse_m),
+        "rmse_by_marker_m": {name: plain(x) for name, x in postures.rmse_by_marker.items()},
+        "noise_scale": plain(postures.noise_scale),
     }
 
 
@@ -216,6 +232,7 @@ def _html(
         + "; ".join(sorted({escape(r.selection.rule) for r in fit.recordings}))
         + ".</small></p>",
         *_others(fit),
+        *([] if fit.postures is None else [f"<p>{escape(postures_text(fit.postures))}</p>"]),
         *_notes(fit),
         *_held_out(fit),
         *_starts(fit),
