@@ -38,10 +38,11 @@ def read_log(path: str | PathLike, scene=None, *, need_tip: bool = True) -> Reco
     Columns, in this order: t_s, tau1_N, tau2_N, .. (a tension per tendon that is driven by
     tension), p1_Pa, .. (a pressure per chamber), tip_x_m, tip_y_m, tip_z_m; and anywhere after the
     time pull1_m, .. (a pull per tendon that is driven by its length). An empty cell, `nan` or `NA`
-    is a missing coordinate of the tip; time and inputs must be complete. Places of the scene's
-    markers may follow, NAME_x_m, NAME_y_m, NAME_z_m, and are left unread. Anywhere after the time
-    may be the columns of `calibration.data.quantities` and how good they are; numbers may be
-    missing there. Rows in messages are lines of the file, the header being row 1.
+    is a missing coordinate of the tip; time and inputs must be complete. Places of
+    markers may follow, NAME_x_m, NAME_y_m, NAME_z_m, and without a scene are left unread. With one,
+    the columns of `calibration.data.quantities` may be anywhere after the time, and how good they
+    are; numbers may be missing there. Rows in messages are lines of the file, the header being row
+    1.
     """
     header, columns, values, lines, measured = _table(path, scene, need_tip)
     _check_values(values, header, columns.tip, lines, path)

@@ -164,3 +164,38 @@ def test_a_frame_that_is_turned_turns_markers():
     np.testing.assert_allclose(seen, before + jnp.cross(rotation, before), atol=1e-6)
     np.testing.assert_allclose(apart(turn, -turn, "tip_attitude"), 0.0)
     assert aligned(place, "base_force", frame, start) is place
+
+
+def test_a_mapping_names_what_else_was_measured(recording, tmp_path):
+    log, mapping = tmp_path / "lab.csv", tmp_path / "lab.map.toml"
+    force, t = recording.others["base_force"], recording.times
+    slow = np.where(np.arange(len(t)) % 2 == 0, t, np.nan)
+    columns = [t, recording.tip_positions, 1e3 * force[:, [0, 2]] + 5.0, slow, np.arange(len(t))]
+    table = np.column_stack(columns)
+    names = "t,x,y,z,Fx mN,Fz mN,clock,u"
+    np.savetxt(log, table, delimiter=",", header=names, comments="", fmt="%.17g")
+    text = """[time]
+column = "t"
+[tip]
+columns = ["x", "y", "z"]
+[[measured]]
+key = "base_force"
+columns = ["Fx mN", "", "Fz mN"]
+offset = -5.0
+scale = 1e-3
+noise = 0.03
+[[measured]]
+key = "middle_curvature"
+columns = ["u", "", ""]
+time = { column = "clock" }
+"""
+    mapping.write_text(text)
+    read = load_recording(log, rod(), mapping=mapping)
+    np.testing.assert_allclose(read.others["base_force"][:, [0, 2]], force[:, [0, 2]], atol=1e-12)
+    assert np.isnan(read.others["base_force"][:, 1]).all() and read.noise == {"base_force": 0.03}
+    # Of every other row; in between it is interpolated.
+    seen = read.others["middle_curvature"][:, 0]
+    np.testing.assert_allclose(seen, np.arange(len(t)), atol=1e-9)
+    mapping.write_text(text.replace("base_force", "tension1"))
+    with pytest.raises(RecordingError, match="key = 'tension1'.*one of base_force"):
+        load_recording(log, rod(), mapping=mapping)
