@@ -20,7 +20,7 @@ _MISSING = "leave the cell empty if nothing was measured, or name its text in [c
 
 @dataclass(frozen=True, eq=False)
 class MeasuredPart:
-    """`values`, (samples, numbers), of the quantity `key` at `times`; `noise`, None where not said."""
+    """`values`, (samples, numbers), of `key` at `times`; `noise`, None where not said."""
 
     key: str
     times: np.ndarray
@@ -43,7 +43,7 @@ def _part(table: Table, part: Spec, clock: TimeColumn, scene) -> MeasuredPart:
     clock = TimeColumn(table, own) if own.content else clock
     quantity = known[key]
     names = part.texts("columns", len(quantity.columns))
-    scale, offset = part.number("scale", 1.0), part.number("offset", 0.0)
+    scale, offset = part.number("scale", 1.0) or 0.0, part.number("offset", 0.0) or 0.0
     noise = part.number("noise", None)
     if noise is not None and not noise > 0:
         raise part.wrong("noise", noise, f"a number above 0 [{quantity.unit}]")
