@@ -41,9 +41,10 @@ def models_in(words: Sequence[str], scene, fit: str | None, motions: bool = True
             first = choose(scene, base) if word.startswith("+") else ()
             found |= _named(Model(scene, (*first, *own)))
     if len(found) < 2:
+        such = f"{' '.join(USUAL)}, or +drag_coefficient" if motions else "+density"
         raise UsageError(
-            f"--compare {' '.join(words)}: {len(found)} model; name at least two, such as "
-            f"{' '.join(USUAL)}, or +drag_coefficient besides what --fit names"
+            f"--compare {' '.join(words)}: {len(found) or 'no'} model; name at least two, such as "
+            f"{such} besides what --fit names"
         )
     return found
 

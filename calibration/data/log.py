@@ -14,7 +14,7 @@ from calibration.data import dates, units
 from calibration.data.cells import CellError, NumberFormat
 from calibration.data.clocks import find_gaps
 from calibration.data.loads import without_noise_below_zero
-from calibration.data.other_columns import beside_the_tip, measured_beside
+from calibration.data.other_columns import Measured, beside_the_tip, measured_beside
 from calibration.data.plausible import Source, check_pulls, check_reach
 from calibration.data.recording import TIP_COLUMNS, Recording, RecordingError
 from calibration.data.text_files import read_lines
@@ -64,7 +64,7 @@ def read_log(path: str | PathLike, scene=None, *, need_tip: bool = True) -> Reco
         tip_positions=tip if tip.shape[1] else np.full((len(values), 3), np.nan),
         name=Path(path).stem,
         source=str(path),
-        notes=(*unseen, *clipped),
+        notes=(*unseen, *clipped, *_beside(measured)),
         others=measured.others,
         noise=measured.noise,
     )
@@ -77,6 +77,11 @@ def read_log(path: str | PathLike, scene=None, *, need_tip: bool = True) -> Reco
     check_reach(recording, scene, source)
     check_pulls(recording, scene, "is it in millimetres?")
     return replace(recording, notes=(*recording.notes, *_gaps(recording)))
+
+
+def _beside(measured: Measured) -> list[str]:
+    """A note on what else is compared, if there is anything."""
+    return [f"measured besides the tip: {', '.join(measured.others)}"] if measured.others else []
 
 
 def _gaps(recording: Recording) -> list[str]:
