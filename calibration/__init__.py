@@ -7,12 +7,16 @@ from importlib import import_module
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
+    from calibration.comparison import Comparison as Comparison
+    from calibration.comparison import compare as compare
     from calibration.data.loading import load_recording as load_recording
     from calibration.data.loading import load_recordings as load_recordings
     from calibration.data.onset import detect_onset as detect_onset
     from calibration.data.recording import Recording as Recording
     from calibration.data.recording import RecordingError as RecordingError
     from calibration.fit import calibrate as calibrate
+    from calibration.parameters.laws import Model as Model
+    from calibration.parameters.laws import damped as damped
     from calibration.report.results import Estimate as Estimate
     from calibration.report.results import Fit as Fit
     from calibration.report.writing import write_report as write_report
@@ -27,6 +31,10 @@ _HOME = {
     "write_log": "softrod_jax.scene.logs",
     "detect_onset": "calibration.data.onset",
     "calibrate": "calibration.fit",
+    "compare": "calibration.comparison",
+    "Comparison": "calibration.comparison",
+    "Model": "calibration.parameters.laws",
+    "damped": "calibration.parameters.laws",
     "CalibrationError": "calibration.search.minimum",
     "Fit": "calibration.report.results",
     "Estimate": "calibration.report.results",

@@ -18,6 +18,8 @@ from calibration.inference.refinement import refine_until_resolved
 from calibration.parameters.materials import check_material
 from calibration.parameters.priors import checked_pairs
 from calibration.parameters.unknowns import choose_unknowns, with_frame
+from calibration.postures.beside import equilibria_fit, with_equilibria
+from calibration.postures.data import Postures
 from calibration.problem.dataset import datasets
 from calibration.problem.motion import SCHEME
 from calibration.problem.resolution import Resolution, choose_resolution
@@ -60,6 +62,8 @@ def calibrate(
     resume: bool = False,
     scheme: sr.SDIRK | sr.BDFAlpha = SCHEME,
     method: sr.Collocation | None = None,
+    program: Sequence[str] | None = None,
+    postures: Postures | None = None,
 ) -> Fit:
     """Fit numbers of `scene`, and of the bench around it, so that its tip moves as recorded.
 
@@ -107,6 +111,10 @@ def calibrate(
       `calibration.report.writing.write_report` has written the fit; `resume`: go on from it.
     - `scheme`, `method`: in time and along the rod, as for `softrod_jax.simulate`; by default the
       grid along the rod is found like `dt`.
+    - `postures`: equilibria of the same robot, fitted together with the recordings, to the
+      parameters that all of these share. How large the noise of each is its residuals tell.
+    - `program`: names, those of `fit` among them, of which further fits of the same scene will fit
+      others (`calibration.comparison`): they share a compiled program.
 
     A recording without inputs is a release: the rod is held straight until it is let go. One
     with inputs starts straight, or hanging in equilibrium, as its samples before the first
@@ -129,16 +137,25 @@ def calibrate(
     if one_frame:
         recordings, held_out = in_one_frame(recordings, held_out)
         fit = with_frame(scene, fit)
+        program = None if program is None else tuple(dict.fromkeys((*program, *fit)))
     data, unseen = datasets(scene, recordings, held_out, window, drift)
     resolution = Resolution(data, dt, method, tolerance)
     setup, parameters = choose_unknowns(
-        scene, data.recordings, data.labels, fit, per_recording, bounds, places=data.conditions
+        scene,
+        data.recordings,
+        data.labels,
+        fit,
+        per_recording,
+        bounds,
+        places=data.conditions,
+        program=program,
     )
     settings = options.settings(len(parameters.names))
     profiled = parameters.indices(profiles)
     known = {name for u in parameters.items for name in (u.label, u.parameter.name)}
     problem = resolution.first_problem(setup, parameters, time_offset, scheme)
     problem = replace(problem, priors=checked_pairs("priors", priors, known))
+    problem = with_equilibria(problem, postures, method)
     with Bar() if progress else Silent() as meter:
         meter.stage("steps and grid", None)
         problem = choose_resolution(problem, resolution)
@@ -163,5 +180,6 @@ def calibrate(
         explanations=reasons,
         held_out=predicted,
         material=material,
+        postures=equilibria_fit(resolved.best),
         seconds=time.perf_counter() - begun,
     )

@@ -22,6 +22,7 @@ from softrod_jax.rod.given_lengths import tensions_of
 from softrod_jax.rod.markers import seen
 from softrod_jax.rod.reduction import clamp_pose
 from softrod_jax.rod.rotations import to_base
+from softrod_jax.rod.shape import strain_between
 from softrod_jax.rod.validity import usable_in_time
 from softrod_jax.scene.checks import checked_scene
 from softrod_jax.scene.contacts import contact_names
@@ -47,10 +48,12 @@ from softrod_jax.tables import motion_dataset, motion_frame
 
 
 class Track(eqx.Module):
-    """Where a marker goes: `positions` [m], (times, 3), and `quaternions`, (times, 4)."""
+    """Where a marker goes: `positions` [m], (times, 3), and `quaternions`, (times, 4); `strains`
+    (v, u) of the rod at its place, (times, 6), body frame."""
 
     positions: Float[Array, "times 3"]
     quaternions: Float[Array, "times 4"]
+    strains: Float[Array, "times 6"]
 
 
 class Trajectory(eqx.Module):
@@ -63,9 +66,11 @@ class Trajectory(eqx.Module):
     - `arc_lengths` [m], (outputs,).
     - `tensions` [N], (steps + 1, tendons): of all tendons, at the end where their actuator is.
     - `markers`: by name, "tip" among them, a `Track` with `positions` [m], (steps + 1, 3), and
-      `quaternions`, (steps + 1, 4).
+      `quaternions`, (steps + 1, 4), and the rod's `strains` there, (steps + 1, 6).
     - `contact_forces`: by the name of each contact, the force [N], (steps + 1, 3), with which its
       obstacle pushes the rod, base frame.
+    - `base_wrenches`, (steps + 1, 6): total force [N] and moment [N m] at the base, body frame,
+      with which the robot, its actuators mounted on its base, pushes what carries that.
     - `result`: a code of `RESULTS`; 0 is success. `failed_step`: the first step k that has no
       solution, or -1; from there on the rod is held where it was. Where steps are too long for the
       motion (`inaccurate`, and "time_error" above its limit), the first whose error is too large;
@@ -89,6 +94,7 @@ class Trajectory(eqx.Module):
     tensions: Float[Array, "times tendons"]
     markers: dict[str, Track]
     contact_forces: dict[str, Float[Array, "times 3"]]
+    base_wrenches: Float[Array, "times 6"]
     result: Int[Array, ""]
     failed_step: Int[Array, ""]
     stats: dict
@@ -252,7 +258,17 @@ def beginning_in(initial: StaticSolution, scene: Scene) -> Beginning:
     if scene.contacts is not None:
         pushes = jnp.stack([initial.contact_force[x] for x in contact_names(scene.contacts)])
     now = Inputs(pulls=pulls)
-    return Beginning(initial.point_strains, initial.result, found, now, slid, pushes)
+    wrench = initial.wrenches[0]
+    return Beginning(initial.point_strains, initial.result, found, now, slid, pushes, wrench)
+
+
+def _strains_at(scene: Scene, name: str, inside, nodes) -> Float[Array, "times 6"]:
+    """The strains at the place of a marker, of all times."""
+    places = {marker.name: marker.at for marker in scene.markers or ()}
+    at = places.get(name)
+    if at is None:
+        return inside[:, -1, -1]
+    return jax.vmap(lambda strain: strain_between(strain, nodes, at))(inside)
 
 
 def _by_name(scene: Scene, pushes: Float[Array, "times contacts 3"]):
@@ -284,7 +300,7 @@ def _simulate(scene, dt, inputs, poses, begin, steps, substeps, scheme, method, 
     stepping = stepping_of(scene, dt, first, substeps, scheme, method, options)
     clamp = clamp_pose(scene)
     courses = courses_of(poses, clamp)
-    strains, velocities, results, found, stats, pushes = march(
+    strains, velocities, results, found, stats, wrenches, pushes = march(
         stepping, inputs, begin, steps, good, courses
     )
     grid = method.grid(scene)
@@ -315,8 +331,12 @@ def _simulate(scene, dt, inputs, poses, begin, steps, substeps, scheme, method, 
             velocities=velocities,
             arc_lengths=nodes,
             tensions=tensions_of(scene, _from_start(inputs, begin), found, (steps + 1,)),
-            markers={name: Track(x.position, x.quaternion) for name, x in poses.items()},
+            markers={
+                name: Track(x.position, x.quaternion, _strains_at(scene, name, inside, nodes))
+                for name, x in poses.items()
+            },
             contact_forces={} if pushes is None else _by_name(scene, pushes),
+            base_wrenches=wrenches,
             result=result,
             failed_step=jnp.where(jnp.any(failed), jnp.argmax(failed), -1),
             stats={**stats, "time_error": error, "needed_substeps": needed.astype(jnp.int32)},

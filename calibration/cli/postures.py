@@ -19,6 +19,7 @@ _FOR_MOTIONS += (
     "split",
     "drift",
     "tolerance",
+    "with_postures",
 )
 
 
@@ -32,7 +33,7 @@ def run_postures(args) -> int:
         raise UsageError("--draws: of --posterior, which is not there; give it, or leave it out")
     if args.posterior == "nuts" and find_spec("blackjax") is None:
         raise UsageError("--posterior nuts: needs blackjax: pip install 'softrod_jax[posterior]'")
-    if not args.fit:
+    if not args.fit and args.compare is None:
         raise UsageError("--fit: name what to fit, such as young_modulus,tendons[*].friction")
     bounds = dict(bound_in(text) for text in args.bounds or ())
     priors = dict(prior_in(text) for text in args.prior or ())
@@ -53,17 +54,14 @@ def run_postures(args) -> int:
         raise UsageError(f"{e}: pip install 'softrod_jax[calibration]'") from None
     from calibration.data.trials import files_of
     from calibration.postures.data import joined, load_postures
-    from calibration.postures.fitting import calibrate_postures
+    from calibration.report.comparison import comparison_text
 
     scene = sr.load_scene(scene_path)
     postures = joined([load_postures(log, scene) for log in files_of(logs)])
     method = sr.Collocation() if args.intervals is None else sr.Collocation(args.intervals)
     out.mkdir(parents=True, exist_ok=True)
     with alone_in(out):
-        fit = calibrate_postures(
-            scene,
-            postures,
-            fit=names_in(args.fit),
+        options = dict(
             priors=priors,
             bounds=bounds,
             folds=args.folds,
@@ -71,12 +69,29 @@ def run_postures(args) -> int:
             posterior=args.posterior,
             draws=args.draws or 1000,
         )
-        write_posture_report(fit, out)
+        fit, verdict = _fitted(args, scene, postures, options)
+        write_posture_report(fit, out, verdict)
     if args.json:
         print((out / "parameters.json").read_text(encoding="utf-8"))
     else:
+        for line in [] if verdict is None else comparison_text(verdict):
+            print(line)
         print(f"{posture_summary(fit)}\nparameters, report and plots are in {out}")
     return 0
+
+
+def _fitted(args, scene, postures, options):
+    """The fit, and the verdict on several models or None."""
+    from calibration.postures.fitting import calibrate_postures
+
+    if args.compare is None:
+        return calibrate_postures(scene, postures, fit=names_in(args.fit), **options), None
+    from calibration.cli.comparing import models_in, told
+    from calibration.postures.compare import compare_postures
+
+    models = models_in(args.compare, scene, args.fit, motions=False)
+    found = compare_postures(models, postures, told=told, **options)
+    return found.best, found.verdict
 
 
 def _what(args):

@@ -3,7 +3,7 @@
 A C3D knows its markers, its rate and its unit. It does not know the rod: where the clamp is,
 which axis runs along the rod, and when the rod was let go. This reader takes
 
-- the mean of the tip markers as the tip,
+- the mean of the tip markers as the tip or, if they are said to be on one body, its pose,
 - the file's axes as the scene's, or as `axes` maps them,
 - the rest at the beginning of the recording, the rod being held straight, as the place of the
   scene's straight tip. Only displacements are therefore measured.
@@ -17,7 +17,9 @@ import numpy as np
 from calibration.data.c3d_points import Points, length_unit, read_points
 from calibration.data.frames import axes_matrix, check_one_body, rest_samples, straight_tip
 from calibration.data.plausible import Source, check_reach
+from calibration.data.quantities import TURN
 from calibration.data.recording import Recording, RecordingError
+from calibration.data.rigid import body_pose
 
 
 def read_c3d(
@@ -27,6 +29,7 @@ def read_c3d(
     tip_markers: str = "tip",
     base_markers: str | None = "base",
     axes: str = "x,y,z",
+    tip_body: bool = False,
 ) -> Recording:
     """The recording in the C3D file `path`, for `scene`. Time 0 is the file's first frame.
 
@@ -35,8 +38,12 @@ def read_c3d(
       tip is measured from their mean, so that a clamp that shifts is not taken for a rod that
       bends; `None` takes the tip alone.
     - `axes`: which axes of the file are the scene's x, y and z, such as "-y,x,z".
+    - `tip_body`: the tip markers, three or more, are on one body. Its pose is fitted to those that
+      a frame has; how it is turned is a measurement, too, `others["tip_attitude"]`, by which a
+      middle that is off the axis can be told (parameter sensor_offset).
 
-    A frame in which any of these markers is missing, or at exactly (0, 0, 0), is a missing sample.
+    A frame in which any of these markers is missing, or at exactly (0, 0, 0), is a missing sample;
+    of a body, one that has fewer than three.
 
     Raises `RecordingError` if ezc3d is not installed, the file cannot be read, markers, unit
     or rate are not there, two markers have one label or are not on one body, or the recording does
@@ -52,7 +59,14 @@ def read_c3d(
     points = length_unit(path, file.unit) * file.positions @ rotation.T
     for markers in (tips, bases):
         check_one_body(path, points[:, markers], [file.labels[j] for j in markers], scene)
-    displacement, rest, placed = _from_rest(path, points, tips, bases, file.labels)
+    tip, turned = np.mean(points[:, tips], axis=1), {}
+    if tip_body:
+        seen = np.all(np.isfinite(tip), axis=1)
+        rest = rest_samples(tip[seen], path) if np.any(seen) else 0
+        tip, turns, note = body_pose(points[:, tips], slice(0, rest), f"{path}: ")
+        turned = {f"tip{TURN}": _from_base(scene, turns)}
+        notes.append(note)
+    displacement, rest, placed = _from_rest(path, points, tip, tips, bases, file.labels)
     recording = Recording(
         times=np.arange(len(points)) / file.rate,
         tensions=None,
@@ -63,6 +77,7 @@ def read_c3d(
         origin_known=False,
         placed=straight_tip(scene) - rest,
         notes=(*notes, *placed, *file.notes),
+        others=turned,
     )
     source = Source(
         [f"frame {k + 1}" for k in range(len(points))],
@@ -94,10 +109,19 @@ def _chosen(
     return tips, bases, notes
 
 
-def _from_rest(path, points: np.ndarray, tips: list[int], bases: list[int], labels):
+def _from_base(scene, turns: np.ndarray) -> np.ndarray:
+    """Attitudes of a tip that has turned so from where the straight rod has it, (frames, 4)."""
+    base = getattr(scene, "base_quaternion", None)
+    if base is None:
+        return turns
+    w, r = np.asarray(base, dtype=float)[0], np.asarray(base, dtype=float)[1:]
+    u, v = turns[:, :1], turns[:, 1:]
+    return np.concatenate([u * w - v @ r[:, None], u * r + w * v + np.cross(v, r)], axis=1)
+
+
+def _from_rest(path, points: np.ndarray, tip: np.ndarray, tips: list[int], bases, labels):
     """The tip's displacement from its rest, seen from the clamp, (frames, 3) [m], where that rest
     is, (3,), and notes."""
-    tip = np.mean(points[:, tips], axis=1)
     clamp = np.mean(points[:, bases], axis=1) if bases else np.zeros_like(tip)
     seen = np.all(np.isfinite(tip + clamp), axis=1)
     if not np.any(seen):
@@ -110,7 +134,7 @@ def _from_rest(path, points: np.ndarray, tips: list[int], bases: list[int], labe
     clamp_at, tip_at = (np.median(x[seen][:rest], axis=0) for x in (clamp, tip))
     clamp_moved = clamp - clamp_at
     notes = [
-        f"tip = mean of the markers {_named(labels, tips)}",
+        f"tip = middle of the markers {_named(labels, tips)}",
         f"origin: the median of the tip over {rest} samples at rest is the scene's straight tip",
     ]
     if bases:

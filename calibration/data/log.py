@@ -14,6 +14,7 @@ from calibration.data import dates, units
 from calibration.data.cells import CellError, NumberFormat
 from calibration.data.clocks import find_gaps
 from calibration.data.loads import without_noise_below_zero
+from calibration.data.other_columns import Measured, beside_the_tip, measured_beside
 from calibration.data.plausible import Source, check_pulls, check_reach
 from calibration.data.recording import TIP_COLUMNS, Recording, RecordingError
 from calibration.data.text_files import read_lines
@@ -39,12 +40,14 @@ def read_log(path: str | PathLike, scene=None, *, need_tip: bool = True) -> Reco
     Columns, in this order: t_s, tau1_N, tau2_N, .. (a tension per tendon that is driven by
     tension), p1_Pa, .. (a pressure per chamber), tip_x_m, tip_y_m, tip_z_m; and anywhere after the
     time pull1_m, .. (a pull per tendon that is driven by its length). An empty cell, `nan` or `NA`
-    is a missing coordinate of the tip; time and inputs must be complete. Places of the scene's
-    markers may follow, NAME_x_m, NAME_y_m, NAME_z_m, and forces of its obstacles, NAME_fx_N,
-    NAME_fy_N, NAME_fz_N; they are left unread. Rows in messages are lines of the file, the header
-    being row 1.
+    is a missing coordinate of the tip; time and inputs must be complete. Places of
+    markers may follow, NAME_x_m, NAME_y_m, NAME_z_m, and without a scene are left unread, as
+    forces of obstacles always are, NAME_fx_N, NAME_fy_N, NAME_fz_N. With a scene,
+    the columns of `calibration.data.quantities` may be anywhere after the time, and how good they
+    are; numbers may be missing there. Rows in messages are lines of the file, the header being row
+    1.
     """
-    header, columns, values, lines = _table(path, scene, need_tip)
+    header, columns, values, lines, measured = _table(path, scene, need_tip)
     _check_values(values, header, columns.tip, lines, path)
     inputs: dict[str, Any] = dict.fromkeys(columns.inputs)
     inputs |= {name: values[:, own] for name, own in columns.inputs.items() if own}
@@ -64,7 +67,9 @@ def read_log(path: str | PathLike, scene=None, *, need_tip: bool = True) -> Reco
         tip_positions=tip if tip.shape[1] else np.full((len(values), 3), np.nan),
         name=Path(path).stem,
         source=str(path),
-        notes=(*unseen, *clipped),
+        notes=(*unseen, *clipped, *_beside(measured)),
+        others=measured.others,
+        noise=measured.noise,
     )
     source = Source(
         [f"row {line}" for line in lines],
@@ -75,6 +80,11 @@ def read_log(path: str | PathLike, scene=None, *, need_tip: bool = True) -> Reco
     check_reach(recording, scene, source)
     check_pulls(recording, scene, "is it in millimetres?")
     return replace(recording, notes=(*recording.notes, *_gaps(recording)))
+
+
+def _beside(measured: Measured) -> list[str]:
+    """A note on what else is compared, if there is anything."""
+    return [f"measured besides the tip: {', '.join(measured.others)}"] if measured.others else []
 
 
 def _gaps(recording: Recording) -> list[str]:
@@ -91,10 +101,12 @@ def _gaps(recording: Recording) -> list[str]:
 
 
 def _table(path, scene, need_tip):
-    """Header, which of its columns are what, values (T, columns), lines of the rows."""
+    """Header, which of its columns are what, values (T, columns), lines of the rows, and what else
+    was measured."""
     lines, encoding = read_lines(path)
     reader = csv.reader(lines, strict=True)
-    header, values, numbers = None, array("d"), []
+    header, whole, beside = None, [], set()
+    values, numbers = array("d"), []
     known, columns = 0, _Columns({}, [])
     missing = NumberFormat()
     try:
@@ -103,16 +115,16 @@ def _table(path, scene, need_tip):
                 continue
             row, line = [cell.strip() for cell in row], reader.line_num
             if header is None:
-                header = row
+                whole, beside = row, beside_the_tip(row, scene, path)
+                header = [name for j, name in enumerate(row) if j not in beside]
                 known = len(header) - _unread_columns(header, scene)
                 columns = _columns(header[:known], path, scene, need_tip, encoding)
                 continue
-            if len(row) != len(header):
+            if len(row) != len(whole):
                 raise RecordingError(
-                    f"{path}: row {line}: {len(row)} cells, and the header has {len(header)} "
-                    "columns"
+                    f"{path}: row {line}: {len(row)} cells, and the header has {len(whole)} columns"
                 )
-            for name, text in zip(header, row, strict=True):
+            for name, text in zip(whole, row, strict=True):
                 values.append(_number(text, missing, f"{path}: row {line}, column {name}", name))
             numbers.append(line)
     except csv.Error as e:
@@ -123,8 +135,10 @@ def _table(path, scene, need_tip):
         )
     if not numbers:
         raise RecordingError(f"{path}: a header and no rows: nothing was recorded")
-    table = np.array(values).reshape(len(numbers), len(header))
-    return header[:known], columns, table[:, :known], numbers
+    table = np.array(values).reshape(len(numbers), len(whole))
+    measured = measured_beside({whole[j]: table[:, j] for j in beside}, scene, path)
+    table = np.delete(table, list(beside), axis=1)
+    return header[:known], columns, table[:, :known], numbers, measured
 
 
 def _unread_columns(header: list[str], scene) -> int:

@@ -147,3 +147,26 @@ def check_interval(path, mapping, times) -> None:
             f"{path}: samples are {interval:.3g} s apart: is the time in days, as of Excel and "
             f"MATLAB? set [time] unit = 'd' in {mapping}"
         )
+
+
+def steps_of(part: Spec) -> np.ndarray | None:
+    """What was commanded, pairs (time [s], value); None where a column has it."""
+    what = "a list of pairs [time in s, value], times increasing"
+    given = part.get("steps", list, what, None, False)
+    if given is None:
+        return None
+    if "column" in part.content:
+        raise RecordingError(f"{part.where}column and {part.where}steps: one of them is too much")
+    real = lambda x: isinstance(x, int | float) and not isinstance(x, bool) and abs(x) < np.inf
+    good = given and all(isinstance(p, list) and len(p) == 2 and all(map(real, p)) for p in given)
+    if not good or np.any(np.diff([p[0] for p in given]) <= 0):
+        raise part.wrong("steps", given, what)
+    return np.array(given, dtype=float)
+
+
+def stepped(part: Spec, steps: np.ndarray, times: np.ndarray) -> np.ndarray:
+    """The command at each of the times."""
+    if times.dtype.kind == "M":
+        raise RecordingError(f"{part.where}steps: are in seconds, and the clock is one of dates")
+    k = np.searchsorted(steps[:, 0], times, side="right")
+    return np.concatenate([[0.0], steps[:, 1]])[k]

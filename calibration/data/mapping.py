@@ -33,6 +33,11 @@
     [[base_markers]]                    # three or more: the frame is fitted to them
     columns = ["b1.x", "b1.y", "b1.z"]
     position = [0.02, 0.0, 0.0]         # m, where the marker is in the scene's frame
+    [[measured]]                        # what else was, as calibration/data/quantities.py has it
+    key = "base_force"
+    columns = ["Fx", "Fy", "Fz"]        # "" for one that was not; offset, scale (to SI) and time as
+                                        # of tensions
+    noise = 0.02                        # N
     [conditions]                        # in what this experiment differs from the scene
     payload_mass = 0.052
     [trials]                            # of a file that holds several, each a recording
@@ -66,7 +71,15 @@ from calibration.data.cells import NumberFormat
 from calibration.data.clocks import check_overlap, find_gaps
 from calibration.data.frames import axes_matrix, check_one_body, from_base_markers, from_rest
 from calibration.data.loads import without_noise_below_zero
-from calibration.data.mapped_columns import TimeColumn, check_interval, factor, one_zero
+from calibration.data.mapped_columns import (
+    TimeColumn,
+    check_interval,
+    factor,
+    one_zero,
+    stepped,
+    steps_of,
+)
+from calibration.data.mapped_measured import at_samples, measured_parts
 from calibration.data.mapping_file import Spec, read_toml
 from calibration.data.plausible import Source, check_pulls, check_reach
 from calibration.data.recording import Recording, RecordingError
@@ -112,13 +125,16 @@ def _read(path, mapping, table: Table, label: str, scene, need_tip: bool) -> Rec
         kind.name: [_input(table, part, kind.quantity, clock) for part in spec.tables(kind.name)]
         for kind in KINDS
     }
+    measured = measured_parts(table, spec, clock, scene)
     conditions = spec.table("conditions", required=False).numbers()
     spec.done()
     if scene is not None:
         _check_counts(mapping, inputs, scene)
     tip, clock_of_tip, notes, placed, source = seen or _without_tip(mapping, inputs)
-    clocks, dated = one_zero(path, [clock_of_tip, *(x[1] for p in inputs.values() for x in p)])
+    clocks = [clock_of_tip, *(x.times for x in measured)]
+    clocks, dated = one_zero(path, [*clocks, *(x[1] for p in inputs.values() for x in p)])
     clock_of_tip, others = clocks[0], iter(clocks[1:])
+    measured = [replace(x, times=next(others)) for x in measured]
     inputs = {
         name: [(part, next(others), *rest) for part, _, *rest in parts]
         for name, parts in inputs.items()
@@ -128,9 +144,12 @@ def _read(path, mapping, table: Table, label: str, scene, need_tip: bool) -> Rec
     )
     gaps, said = _clocks_of(path, clock_of_tip, tip, inputs)
     times, merged, columns, clipped = _merged(path, clock_of_tip, tip, inputs)
+    beside, noise = at_samples(measured, times)
     recording = Recording(
         times=times,
         **columns,
+        others=beside,
+        noise=noise,
         tip_positions=merged,
         name=f"{Path(path).stem}-{label}" if label else Path(path).stem,
         source=str(path),
@@ -313,7 +332,7 @@ def _input(table: Table, part: Spec, kind: str, clock: TimeColumn):
     """Name, times and values [SI] of one actuator, without missing samples; labels, time's key."""
     own = part.table("time", required=False)
     clock = TimeColumn(table, own) if own.content else clock
-    steps = _steps(part)
+    steps = steps_of(part)
     if steps is None:
         name = table.find(part.text("column"), key=f"{part.where}column")
         values = table.numbers(name, f"inputs are needed in every row: {_FILL}")
@@ -321,7 +340,7 @@ def _input(table: Table, part: Spec, kind: str, clock: TimeColumn):
     else:
         name = f"{part.where}steps"
         times = clock.of(max(len(x) for x in table.columns.values()), name)
-        values = _stepped(part, steps, times)
+        values = stepped(part, steps, times)
     given = part.number("scale", None)
     scale, offset = 1.0 if given is None else given, part.number("offset", 0.0)
     own = [] if steps is not None else [name]
@@ -339,29 +358,6 @@ def _input(table: Table, part: Spec, kind: str, clock: TimeColumn):
         )
     labels = [table.row(int(k), len(values)) for k in np.flatnonzero(there)]
     return name, times[there], values[there], labels, f"{part.where}time."
-
-
-def _steps(part: Spec) -> np.ndarray | None:
-    """What was commanded, pairs (time [s], value); None where a column has it."""
-    what = "a list of pairs [time in s, value], times increasing"
-    given = part.get("steps", list, what, None, False)
-    if given is None:
-        return None
-    if "column" in part.content:
-        raise RecordingError(f"{part.where}column and {part.where}steps: one of them is too much")
-    real = lambda x: isinstance(x, int | float) and not isinstance(x, bool) and abs(x) < np.inf
-    good = given and all(isinstance(p, list) and len(p) == 2 and all(map(real, p)) for p in given)
-    if not good or np.any(np.diff([p[0] for p in given]) <= 0):
-        raise part.wrong("steps", given, what)
-    return np.array(given, dtype=float)
-
-
-def _stepped(part: Spec, steps: np.ndarray, times: np.ndarray) -> np.ndarray:
-    """The command at each of the times."""
-    if times.dtype.kind == "M":
-        raise RecordingError(f"{part.where}steps: are in seconds, and the clock is one of dates")
-    k = np.searchsorted(steps[:, 0], times, side="right")
-    return np.concatenate([[0.0], steps[:, 1]])[k]
 
 
 def _check_counts(mapping, inputs, scene) -> None:

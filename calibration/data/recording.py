@@ -37,6 +37,9 @@ class Recording:
     - `pulls` [m], (T, tendons driven by length), or None if the recording has none.
     - `placed` [m], (3,): what was added to the tip to put it in place, where its origin is not
       known; None if nothing was.
+    - `others`: what else was measured, (T, numbers) by key, such as "tension1"; NaN where missing.
+      `noise`: standard deviations, by key, [m] of the "tip"; usual ones where nothing is said
+      (`calibration.data.quantities`). They weigh measurements against each other.
     - `conditions`: values of parameters in which this experiment differs from the scene, by name
       (`calibration.parameters.catalogue`), such as {"payload_mass": 0.052}.
     """
@@ -54,6 +57,8 @@ class Recording:
     gaps: tuple[tuple[float, float], ...] = ()
     pulls: np.ndarray | None = None
     placed: np.ndarray | None = None
+    others: Mapping[str, np.ndarray] = field(default_factory=dict)
+    noise: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def driven_by(self) -> list[tuple[Kind, np.ndarray]]:
@@ -103,5 +108,6 @@ class Recording:
             times=self.times[keep],
             **{kind.name: values[keep] for kind, values in self.driven_by},
             tip_positions=self.tip_positions[keep],
+            others={key: values[keep] for key, values in self.others.items()},
             gaps=tuple(g for g in self.gaps if g[0] < end and g[1] > start),
         )

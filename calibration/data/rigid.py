@@ -9,6 +9,7 @@ from calibration.data.recording import RecordingError
 _LEAST, _FLAT = 3, 1e-3
 # Markers that miss their places by more than this are not where they are said to be.
 _LARGEST_MISFIT = 3e-3  # m
+_OF_THE_BODY = 0.1  # of its size, where that says what is where
 
 
 def rigid_pose(
@@ -61,3 +62,55 @@ def tip_of_body(
             "from them; check their order, the positions [m], the unit and the axes"
         )
     return tip, f"tip fitted to {len(meant)} markers of one body, {1e3 * misfit:.2g} mm rms"
+
+
+def body_pose(
+    seen: Float[np.ndarray, "samples markers 3"], at_rest: slice, where: str
+) -> tuple[Float[np.ndarray, "samples 3"], Float[np.ndarray, "samples 4"], str]:
+    """Places of the middle of the markers on a body, and quaternions (w, x, y, z) of its turns from
+    where it is in the samples `at_rest`, which tell its form; and a note.
+
+    A sample in which some markers are missing has both from the others, if they are three that are
+    not on one line. Raises `RecordingError` if the markers do not tell a pose.
+    """
+    whole = seen[np.all(np.isfinite(seen), axis=(1, 2))][at_rest]
+    meant = np.median(whole, axis=0)
+    meant = meant - meant.mean(0)
+    if len(meant) < _LEAST or np.linalg.svd(meant, compute_uv=False)[1] < _FLAT * np.ptp(meant):
+        raise RecordingError(
+            f"{where}{len(meant)} markers tell no attitude: a body needs at least 3 that are not "
+            "on one line; name more of them, or leave tip_body out"
+        )
+    rotation, place = rigid_pose(seen, meant)
+    known = np.all(np.isfinite(place), axis=1)
+    expected = np.einsum("nij,mj->nmi", rotation, meant) + place[:, None]
+    misfit = float(np.sqrt(np.nanmean(np.sum((expected - seen)[known] ** 2, axis=-1))))
+    if misfit > min(_LARGEST_MISFIT, _OF_THE_BODY * np.sqrt(np.mean(np.sum(meant**2, axis=1)))):
+        raise RecordingError(
+            f"{where}after the best rigid fit the markers are {1e3 * misfit:.2g} mm rms from it: "
+            "they are not on one body"
+        )
+    filled = int(np.sum(known & ~np.all(np.isfinite(seen), axis=(1, 2))))
+    return (
+        place,
+        quaternions_of(rotation),
+        f"pose of the tip from {len(meant)} markers of one body, {1e3 * misfit:.2g} mm rms"
+        + (f"; {filled} samples without some of them" if filled else ""),
+    )
+
+
+def quaternions_of(R: Float[np.ndarray, "samples 3 3"]) -> Float[np.ndarray, "samples 4"]:
+    """Unit quaternions (w, x, y, z), w >= 0, of rotations; NaN where these are.
+
+    Of the four forms that Shepperd (1978) gives the one with the largest divisor.
+    """
+    x, y, z = R[:, 0, 0], R[:, 1, 1], R[:, 2, 2]
+    squares = np.stack([1 + x + y + z, 1 + x - y - z, 1 - x + y - z, 1 - x - y + z], axis=1)
+    a, b, c = R[:, 2, 1] - R[:, 1, 2], R[:, 0, 2] - R[:, 2, 0], R[:, 1, 0] - R[:, 0, 1]
+    d, e, f = R[:, 0, 1] + R[:, 1, 0], R[:, 0, 2] + R[:, 2, 0], R[:, 1, 2] + R[:, 2, 1]
+    s = squares.T
+    rows = np.array([[s[0], a, b, c], [a, s[1], d, e], [b, d, s[2], f], [c, e, f, s[3]]])
+    best = np.argmax(np.nan_to_num(squares), axis=1)
+    q = rows[best, :, np.arange(len(R))]
+    q = q / np.linalg.norm(q, axis=1, keepdims=True)
+    return np.where(q[:, :1] < 0, -q, q)

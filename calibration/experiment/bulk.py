@@ -57,3 +57,12 @@ def bulk(scene: sr.Scene) -> Bulk:
             bending, stretch = bending + lever**2 * ds / EI, stretch + ds / EA
         start = start + segment.length
     return Bulk(mass, volume / length, length / (3 * bending), length / stretch)
+
+
+def ring_frequency(scene: sr.Scene) -> float:
+    """The frequency [Hz] at which a cantilever with a weight at its tip rings in its first mode."""
+    rod = bulk(scene)
+    mass = 0.2427 * float(rod.mass)
+    mass += 0.0 if scene.payload is None else float(scene.payload.mass)
+    stiffness = 3 * float(np.min(np.asarray(rod.EI))) / float(scene.length) ** 3
+    return float(np.sqrt(stiffness / mass) / (2 * np.pi))

@@ -20,16 +20,22 @@ _ROUNDS, _UNCHANGED = 4, 0.1
 
 
 def weighed(outcome: Outcome, max_iterations: int, history: History) -> Outcome:
-    """The outcome with priors that weigh as much as they should; the same without any."""
-    if not outcome.best.problem.priors or not outcome.best.ok:
+    """The outcome with priors, and what was measured beside, that weigh as much as they should; the
+    same without any."""
+    problem = outcome.best.problem
+    if not (problem.priors or problem.beside is not None) or not outcome.best.ok:
         return outcome
     history.stage("priors", None)
     for _ in range(_ROUNDS):
         point = outcome.best
-        variance = independent_variance(point)
-        if abs(variance / point.problem.variance - 1) < _UNCHANGED:
+        variance, before = independent_variance(point), point.problem.beside
+        beside = None if before is None else before.weighed(point.x)
+        settled = abs(variance / point.problem.variance - 1) < _UNCHANGED
+        if before is not None and beside is not None:
+            settled = settled and abs(beside.scale / before.scale - 1) < _UNCHANGED
+        if settled:
             break
-        problem = replace(point.problem, prior_variance=variance)
+        problem = replace(point.problem, prior_variance=variance, beside=beside)
         done = levenberg_marquardt(
             problem, replace(point, problem=problem), max_iterations, history.add
         )
@@ -49,9 +55,11 @@ def contradicted(best: Point) -> dict[str, float]:
     if not best.problem.priors:
         return {}
     data = best.jacobian.T @ best.jacobian / best.problem.variance
+    others = best.beliefs[1][len(best.from_priors[0]) :]
+    data = data + others.T @ others
     vague = [(2.0 / u.parameter.scale.largest) ** 2 for u in best.problem.space.parameters.items]
     data[np.diag_indices(len(vague))] += vague
-    apart = contradictions(*best.beliefs, data)
+    apart = contradictions(*best.from_priors, data)
     items = best.problem.space.parameters.items
     labels = [items[i].label for i, *_ in best.problem.prior_places]
     return {k: float(x) for k, x in zip(labels, apart, strict=True) if x > CONTRADICTED}

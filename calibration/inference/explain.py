@@ -16,7 +16,7 @@ from dataclasses import dataclass, replace
 import jax
 import numpy as np
 
-from calibration.experiment.bulk import bulk
+from calibration.experiment.bulk import ring_frequency
 from calibration.experiment.setup import Setup
 from calibration.parameters.catalogue import as_names, catalogue
 from calibration.parameters.scales import Factor
@@ -126,7 +126,7 @@ class _Wider:
             places=problem.batch.conditions,
         )
         space = replace(problem.space, parameters=parameters)
-        wider = replace(problem, setup=setup, space=space)
+        wider = replace(problem, setup=setup, space=space, beside=None)
         place = {u.label: i for i, u in enumerate(parameters.items)}
         x = space.origin()
         old = [place[u.label] for u in problem.space.parameters.items]
@@ -192,7 +192,7 @@ def _of_each(wider: _Wider) -> list[Explanation]:
 
 def _loss_law(problem: Problem, x, dampings: list[float]) -> str:
     """What dampings of recordings that ring at different frequencies say of the material."""
-    rings = [_frequency(problem.fitted_setup(x, k).scene) for k in range(len(dampings))]
+    rings = [ring_frequency(problem.fitted_setup(x, k).scene) for k in range(len(dampings))]
     slow, quick = int(np.argmin(rings)), int(np.argmax(rings))
     ratio = rings[quick] / rings[slow]
     if ratio < _APART:
@@ -205,15 +205,6 @@ def _loss_law(problem: Problem, x, dampings: list[float]) -> str:
         f"Hz, by its power {falls:.1f}: as of a material whose loss does not grow with frequency "
         "(power 1), or grows less than that of a viscous one (power 0), which is simulated"
     )
-
-
-def _frequency(scene) -> float:
-    """The frequency [Hz] at which a cantilever with a weight at its tip rings in its first mode."""
-    rod = bulk(scene)
-    mass = 0.2427 * float(rod.mass)
-    mass += 0.0 if scene.payload is None else float(scene.payload.mass)
-    stiffness = 3 * float(np.min(rod.EI)) / float(scene.length) ** 3
-    return float(np.sqrt(stiffness / mass) / (2 * np.pi))
 
 
 def _slow_release(wider: _Wider, report: Report) -> list[Explanation]:

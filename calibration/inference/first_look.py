@@ -34,7 +34,7 @@ def check_axes(point: Point, recordings: Sequence[Recording]) -> None:
         motion = recording_of(point.evaluation.motion, k)
         if not (recording.origin_known and np.all(recording.coordinates)) or motion.result != 0:
             continue
-        used = np.all(np.asarray(problem.batch.used)[k], axis=1)
+        used = np.all(np.asarray(problem.batch.used)[k, :, :3], axis=1)
         measured = np.asarray(problem.batch.tip)[k, used]
         simulated = np.asarray(
             tip_at(motion, problem.space.clocks[k].dt, problem.batch.times[k][used])

@@ -56,7 +56,7 @@ def predictions(best: Point, unseen: Dataset, dt: float | None) -> Iterator[Pred
         batch, clocks = make_batch(problem.scene, data, space.time_offset, step, like=problem.batch)
         parameters, x = space.parameters.shared(best.x, many)
         its_space = replace(space, parameters=parameters, clocks=clocks)
-        own_frame = _own_frame(replace(problem, batch=batch, space=its_space), x)
+        own_frame = _own_frame(replace(problem, batch=batch, space=its_space, beside=None), x)
         yield Prediction(data, last - first, own_frame, _fitted_frame(own_frame, best))
 
 

@@ -118,7 +118,7 @@ _FINER, _SIMULATED, _FINE = "finer", "simulated", "fine"
 
 
 def _judged(
-    best: Point, uncertainty: Uncertainty, change: Float[np.ndarray, "recordings samples 3"]
+    best: Point, uncertainty: Uncertainty, change: Float[np.ndarray, "recordings samples all"]
 ) -> tuple[Float[np.ndarray, "unknowns"], str]:
     """How x moves if residuals change by `change` [m], and what follows from that."""
     problem = best.problem

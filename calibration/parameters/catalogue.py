@@ -15,6 +15,7 @@ import numpy as np
 
 import softrod_jax as sr
 from calibration.experiment.setup import Setup
+from calibration.parameters.modulus import Modulus, is_rubber
 from calibration.parameters.names import NAMES
 from calibration.parameters.parameter import AbstractParameter, Parameter
 from calibration.parameters.paths import is_path, path_parameter
@@ -71,10 +72,12 @@ def _maker(find: Callable, value: Callable) -> Callable:
 
 
 # A parameter, and the name of the group that stands for it and its like, if there is one.
-_Entry = tuple[str | None, Parameter]
+_Entry = tuple[str | None, AbstractParameter]
 
 
-def catalogue(scene: sr.Scene) -> tuple[dict[str, Parameter], dict[str, tuple[str, ...]]]:
+def catalogue(
+    scene: sr.Scene,
+) -> tuple[dict[str, AbstractParameter], dict[str, tuple[str, ...]]]:
     """Every parameter of `scene` by name, and groups of them by the name of the group."""
     entries = [
         *((None, parameter) for parameter in _of_any_scene()),
@@ -91,10 +94,10 @@ def catalogue(scene: sr.Scene) -> tuple[dict[str, Parameter], dict[str, tuple[st
     return {parameter.name: parameter for _, parameter in entries}, groups
 
 
-def _of_any_scene() -> list[Parameter]:
+def _of_any_scene() -> list[AbstractParameter]:
     """The parameters that a scene may have whatever its actuators are."""
     return [
-        Parameter("young_modulus", "Pa", _scene("young_modulus")),
+        Modulus("young_modulus", "Pa", remedy="rod.young_modulus"),
         Parameter(
             "bending_damping", "N m^2 s", _scene("bending_damping"), remedy="rod.bending_damping"
         ),
@@ -283,7 +286,8 @@ def parameters_of(scene: sr.Scene, names: Iterable[str]) -> tuple[AbstractParame
 def choose(
     scene: sr.Scene, fit: Iterable[str] | str | None, given: Iterable[str] = ()
 ) -> tuple[str, ...]:
-    """The names of the parameters to fit; those of `DEFAULT` that the scene has if None.
+    """The names of the parameters to fit; those of `DEFAULT` that the scene has if None. Of a
+    rubber young_modulus is that at small strain: all its constants, in their proportion.
 
     A name may be the path of a number in the scene (`calibration.parameters.paths`).
 
@@ -293,7 +297,8 @@ def choose(
     factor, which has nothing to act on.
     """
     if fit is None:
-        return tuple(n for n in DEFAULT if getattr(scene, n) is not None)
+        usual = zip(DEFAULT, parameters_of(scene, DEFAULT), strict=True)
+        return tuple(name for name, p in usual if p.get(Setup(scene)) is not None)
     _, groups = catalogue(scene)
     asked = as_names(fit)
     if not asked:
@@ -306,6 +311,11 @@ def choose(
     for name in names:
         if names.count(name) > 1:
             raise ValueError(f"fit: {name!r} is named twice; leave one out")
+        if "young_modulus" in names and is_rubber(scene) and name.startswith("material"):
+            raise ValueError(
+                f"fit: young_modulus of a rubber is all its constants together, and {name!r} one "
+                "of them; leave one out"
+            )
         _check(scene, name, name in given)
     return names
 

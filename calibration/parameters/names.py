@@ -1,8 +1,18 @@
 """The names of what can be fitted, in words, for `--help`: which of them a scene has is known only
-when it is there (`calibration.parameters.catalogue`)."""
+when it is there (`calibration.parameters.catalogue`). And the laws of damping that can be compared.
+"""
+
+# How many branches relax, and whether there is a viscous damping (`calibration.parameters.laws`).
+LAWS = {
+    "viscous": (0, True),
+    "one-branch": (1, False),
+    "two-branches": (2, False),
+    "viscous+branch": (1, True),
+}
+USUAL = ("viscous", "one-branch", "two-branches")
 
 NAMES = {
-    "young_modulus": "Young's modulus",
+    "young_modulus": "of a rubber, at small strain",
     "poisson_ratio": "Poisson's ratio",
     "density": "density",
     "length": "of a rod without segments",

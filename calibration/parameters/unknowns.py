@@ -103,12 +103,16 @@ def choose_unknowns(
     per_recording: Sequence[str] | str = (),
     bounds: Mapping[str, tuple[float, float]] | None = None,
     places: Iterable[str] = (),
+    program: Sequence[str] | None = None,
 ) -> tuple[Setup, Unknowns]:
     """The setup that all recordings share, and the unknowns. The setup has a place for what is
     fitted, for the recordings' conditions and for the parameters `places`.
 
     A parameter is one number for all recordings, unless it is among `per_recording` or recordings
     give it as a condition: then each has its own. One whose condition is 0 keeps it.
+
+    `program`: all names that the compiled program has, what is fitted among them, so that fits of
+    some of them share it; the others stay as they are.
 
     Raises `ValueError` for unknown names and for bounds that are not around the initial value.
     """
@@ -125,9 +129,10 @@ def choose_unknowns(
     setup = prepared(setup.scene, [*conditions, *names, *places])
     parameters = parameters_of(setup.scene, names)
     items: list[Unknown] = []
-    columns = np.full((len(recordings), len(names)), -1)
-    for j, name in enumerate(names):
-        parameter, given = parameters[j], bounds.get(name)
+    simulated = names if program is None else tuple(program)
+    columns = np.full((len(recordings), len(simulated)), -1)
+    for parameter, name in zip(parameters, names, strict=True):
+        j, given = simulated.index(name), bounds.get(name)
         if name not in own and name not in conditions:
             columns[:, j] = len(items)
             items.append(_unknown(parameter, name, None, setup, given))
@@ -138,7 +143,7 @@ def choose_unknowns(
             if not (nothing and isinstance(parameter.scale, Factor)):
                 columns[k, j] = len(items)
                 items.append(_unknown(parameter, f"{name}@{labels[k]}", k, its_own, given))
-    return setup, Unknowns(names, tuple(items), columns)
+    return setup, Unknowns(simulated, tuple(items), columns)
 
 
 def _unknown(

@@ -9,13 +9,14 @@ from typing import Any
 import numpy as np
 
 import softrod_jax as sr
+from calibration.data.quantities import NOISE as NOISE
+from calibration.data.quantities import quantities_of
 from calibration.data.recording import RecordingError
 from calibration.postures.cells import Cells, read_cells
-from calibration.postures.quantities import quantities_of
 from softrod_jax.scene.inputs import KINDS, Inputs
 
-# The noise of a marker where nothing is said [m], and of an attitude [rad].
-NOISE, TURN = 1e-3, 0.01
+# The noise of a marker's attitude where nothing is said [rad].
+TURN = 0.01
 
 
 @dataclass(frozen=True, eq=False)
@@ -26,7 +27,7 @@ class Postures:
     - `positions` [m], (rows, 3) by the name of a marker of the scene, or "tip"; NaN where missing.
     - `quaternions` (w, x, y, z), (rows, 4), likewise.
     - `others`: what else was measured, (rows, numbers) by key, such as "tension1"
-      (`calibration.postures.quantities`).
+      (`calibration.data.quantities`).
     - `noise` [m]: of the markers, by name; `NOISE` where nothing is said; [rad] of the attitude of
       one, by NAME_attitude; of what else was measured, by its key. It weighs measurements against
       each other and against priors; how large it is altogether a fit tells.
@@ -111,7 +112,7 @@ def load_postures(path: str | PathLike, scene: sr.Scene) -> Postures:
     that are driven so; `NAME_x_m`, `NAME_y_m`, `NAME_z_m` and `NAME_qw`, .., `NAME_qz` for markers
     of the scene, the tip among them, where an empty cell or `nan` is a missing number; and, where
     they are there, `t_s`, `trial` (a name or a number), `NAME_noise_m` and `NAME_noise_rad`, the
-    same in all rows, and the columns of `calibration.postures.quantities`.
+    same in all rows, and the columns of `calibration.data.quantities`.
 
     Raises `RecordingError` with file, row and column.
     """

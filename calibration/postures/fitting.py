@@ -11,6 +11,7 @@ import numpy as np
 from jaxtyping import Float
 
 import softrod_jax as sr
+from calibration.data.quantities import quantities_of
 from calibration.experiment.setup import Setup
 from calibration.inference.posterior import Posterior
 from calibration.inference.uncertainty import IDENTIFIED, NOT_IDENTIFIABLE
@@ -23,33 +24,21 @@ from calibration.parameters.priors import (
 from calibration.postures.data import Postures
 from calibration.postures.posterior import check_posterior
 from calibration.postures.prediction import Evaluation, Model, coarse
-from calibration.postures.quantities import quantities_of
 from calibration.postures.search import (
     LEAST_SCALE,
     Search,
     covariance_of,
+    effective_of,
     noise_scale_of,
     numbers_of,
 )
-from calibration.report.results import Estimate
+from calibration.report.results import Compared, Estimate, compared
 
 _MOST_EVALUATIONS = 60
 # Where there are priors, the noise is estimated and the fit repeated until the weight is settled.
 _ROUNDS, _UNCHANGED = 4, 0.05
 # Clusters a parameter needs for their scatter to say how uncertain it is.
 _CLUSTERS = 3
-
-
-@dataclass(frozen=True, eq=False)
-class Compared:
-    """A quantity, (rows, numbers), simulated and measured, NaN where missing; `rms` of their
-    difference, and `noise`, as stated; all in `unit`."""
-
-    simulated: Float[np.ndarray, "rows numbers"]
-    measured: Float[np.ndarray, "rows numbers"]
-    rms: float
-    noise: float
-    unit: str
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,9 +49,11 @@ class PostureFit:
     - `parameters`: an `Estimate` of each, by name.
     - `rmse_m` [m]: root mean square distance of all markers; `rmse_by_marker`, by name.
     - `simulated`, `measured` [m]: (rows, markers, 3) in the order of `markers`; NaN where missing.
-    - `others`: what else was measured: `Compared` by key (`calibration.postures.quantities`).
+    - `others`: what else was measured: `Compared` by key (`calibration.data.quantities`).
     - `unsolved`: how many rows have no equilibrium.
     - `noise_scale`: how many times larger residuals are than the noise that was stated.
+    - `numbers`: how many were measured; `effective`: how many independent ones they are worth, as
+      markers of a row, and rows of a trial, are wrong together.
     - `conflicts`: priors that the data contradict, by name: how many standard deviations apart.
     - `held_out_m` [m]: rms of trials that were kept aside in turn; `None` if nobody asked.
     - `posterior`: draws of it; `None` if nobody asked.
@@ -80,6 +71,8 @@ class PostureFit:
     others: dict[str, Compared]
     unsolved: int
     noise_scale: float
+    numbers: int
+    effective: float
     conflicts: dict[str, float]
     held_out_m: float | None
     information: Float[np.ndarray, "parameters parameters"]
@@ -252,6 +245,8 @@ def _assembled(model, search, theta, best, count, converged, held_out, begun) ->
         others=_compared(model, best),
         unsolved=int(np.sum(~best.solved)),
         noise_scale=scale,
+        numbers=numbers_of(best),
+        effective=effective_of(model, best),
         conflicts=_conflicts(search, theta, weight * flat.T @ flat),
         held_out_m=held_out,
         information=information,
@@ -272,10 +267,8 @@ def _compared(model: Model, best: Evaluation) -> dict[str, Compared]:
         there = np.asarray(model.targets.has_others)[:, own]
         seen = np.where(best.solved[:, None], np.asarray(best.seen.others)[:, own], np.nan)
         measured = np.where(there, np.asarray(model.targets.others)[:, own], np.nan)
-        both = np.isfinite(seen - measured)
-        rms = float(np.sqrt(np.mean((seen - measured)[both] ** 2))) if both.any() else np.nan
         noise = float(model.noise.others[own.start])
-        out[key] = Compared(seen, measured, rms, noise, known[key].unit)
+        out[key] = compared(seen, measured, noise, known[key].unit)
     return out
 
 

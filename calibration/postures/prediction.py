@@ -11,11 +11,12 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 import softrod_jax as sr
+from calibration.data.quantities import quantities_of, unit_noise
+from calibration.experiment.quantities import simulated
 from calibration.experiment.setup import Setup, rotated
 from calibration.parameters.catalogue import moved, parameters_of
 from calibration.parameters.parameter import AbstractParameter
 from calibration.postures.data import NOISE, TURN, Postures, attitude_of
-from calibration.postures.quantities import quantities_of, simulated
 from softrod_jax.scene.inputs import Inputs
 from softrod_jax.scene.tendons import rubbing
 
@@ -117,13 +118,8 @@ class Model:
     @cached_property
     def noise(self) -> Noise:
         """Raises `ValueError` for a key that the scene does not have."""
-        said, known = self.postures.noise, quantities_of(self.setup.scene)
-        others = []
-        for key in self.others:
-            if key not in known:
-                raise ValueError(f"postures: {key!r} is no measurement; known: {', '.join(known)}")
-            count = len(known[key].columns)
-            others += [said.get(key, known[key].noise)] * count
+        said = self.postures.noise
+        others = unit_noise(quantities_of(self.setup.scene), self.others, said)
         positions = [said.get(name, NOISE) for name in self.markers]
         attitudes = [said.get(attitude_of(name), TURN) for name in self.markers]
         return Noise(*(jnp.asarray(x, dtype=float) for x in (positions, attitudes, others)))

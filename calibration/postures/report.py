@@ -12,25 +12,32 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 import softrod_jax as sr
+from calibration.inference.criteria import Verdict
 from calibration.postures.fitting import PostureFit
+from calibration.report.comparison import comparison_html, comparison_json
 from calibration.report.provenance import provenance
 from calibration.report.tables import table
-from calibration.report.text import as_rows
-from calibration.report.writing import STYLE, estimate_as_json, plain, write_text
+from calibration.report.text import as_rows, others_text
+from calibration.report.writing import STYLE, estimate_as_json, others_json, plain, write_text
 
 _MEASURED, _SIMULATED = "#1f77b4", "#d62728"
 _WORST = 8
 
 
-def write_posture_report(fit: PostureFit, out_dir: str | PathLike) -> Path:
+def write_posture_report(
+    fit: PostureFit, out_dir: str | PathLike, compared: Verdict | None = None
+) -> Path:
     """Write `parameters.json`, `report.html`, `scene.toml` and pictures into `out_dir`, and
     `posterior.npz`, the draws by the name of the parameter, where there are any.
+
+    `compared`: the verdict on the models of which this one was chosen
+    (`calibration.postures.compare`).
 
     Raises `OSError` if a file cannot be written.
     """
     out = Path(out_dir)
     out.mkdir(parents=True, exist_ok=True)
-    text = json.dumps(posture_json(fit), indent=2, allow_nan=False)
+    text = json.dumps(posture_json(fit, compared), indent=2, allow_nan=False)
     write_text(out / "parameters.json", text + "\n")
     pictures = {}
     if fit.markers:
@@ -38,7 +45,7 @@ def write_posture_report(fit: PostureFit, out_dir: str | PathLike) -> Path:
         pictures["Errors along the body"] = _saved(_errors(fit), out / "errors.png")
     if fit.others:
         pictures["Other measurements"] = _saved(_others(fit), out / "others.png")
-    write_text(out / "report.html", _html(fit, pictures))
+    write_text(out / "report.html", _html(fit, pictures, compared))
     sr.save_scene(fit.setup.simulated_scene(), out / "scene.toml")
     if fit.posterior is not None:
         draws: dict[str, Any] = dict(fit.posterior.values)
@@ -46,21 +53,20 @@ def write_posture_report(fit: PostureFit, out_dir: str | PathLike) -> Path:
     return out
 
 
-def posture_json(fit: PostureFit) -> dict:
+def posture_json(fit: PostureFit, compared: Verdict | None = None) -> dict:
     """The fit as plain numbers, lists and strings; "parameters" as of a fit of motions."""
     return {
         "result": "converged" if fit.converged else "not converged",
         "parameters": {name: estimate_as_json(e) for name, e in fit.parameters.items()},
         "rmse_m": {name: plain(_rms(fit, rows)) for name, rows in _logs(fit).items()},
         "rmse_by_marker_m": {name: plain(x) for name, x in fit.rmse_by_marker.items()},
-        "others": {
-            key: {"rms": plain(x.rms), "unit": x.unit, "rms_by_noise": plain(x.rms / x.noise)}
-            for key, x in fit.others.items()
-        },
+        "others": others_json(fit.others),
         "held_out_rmse_m": plain(fit.held_out_m),
+        "comparison": None if compared is None else comparison_json(compared),
         "posterior": _posterior(fit),
         "rows": fit.postures.rows,
         "unsolved_rows": fit.unsolved,
+        "effective_samples": fit.effective,
         "noise_scale": plain(fit.noise_scale),
         "priors_contradicted": fit.conflicts,
         "correlation": plain(fit.correlation),
@@ -93,10 +99,7 @@ def posture_summary(fit: PostureFit) -> str:
     lines += [f"{n}: {1e3 * x:.3g} mm rms" for n, x in fit.rmse_by_marker.items()]
     if fit.markers:
         lines.append(f"all: {1e3 * fit.rmse_m:.3g} mm rms over {fit.postures.rows} postures")
-    lines += [
-        f"{key}: {x.rms:.3g} {x.unit} rms, {x.rms / x.noise:.2g} times the noise"
-        for key, x in fit.others.items()
-    ]
+    lines += others_text(fit.others)
     if fit.posterior is not None:
         for name, ends in fit.posterior.ci95.items():
             low, high = (", ".join(f"{x:.4g}" for x in np.ravel(end)) for end in ends)
@@ -206,13 +209,14 @@ def _saved(figure: Figure, path: Path) -> Path:
     return path
 
 
-def _html(fit: PostureFit, pictures) -> str:
+def _html(fit: PostureFit, pictures, compared: Verdict | None) -> str:
     apart = _by_row(fit)
     worst = [k for k in np.argsort(apart)[::-1] if np.isfinite(apart[k])][:_WORST]
     labels = fit.postures.labels
     parts = [
         "<!doctype html><html lang='en'><meta charset='utf-8'><title>Calibration</title>",
         f"<style>{STYLE}</style><h1>Calibration to postures</h1>",
+        *comparison_html(compared),
         f"<pre>{escape(posture_summary(fit))}</pre>",
     ]
     if fit.markers:

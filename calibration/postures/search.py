@@ -112,6 +112,21 @@ def noise_scale_of(best: Evaluation) -> float:
     return float(np.sqrt(np.sum(best.residuals**2) / freedom))
 
 
+def effective_of(model: Model, best: Evaluation) -> float:
+    """How many independent numbers residuals are worth: their count over how much larger sums over
+    what is wrong together are than they would be of independent ones (Kish 1965)."""
+    r, count = best.residuals, numbers_of(best)
+    rows, markers = len(r), len(model.markers)
+    places = r[:, : 6 * markers].reshape(rows, 2, markers, 3).sum(2)
+    each = np.concatenate([places.reshape(rows, -1), r[:, 6 * markers :]], axis=1)
+    names, trial = np.unique(model.postures.labels, return_inverse=True)
+    sums = np.zeros((len(names), each.shape[1]))
+    np.add.at(sums, trial.ravel(), each)
+    total = max(float(np.sum(r**2)), 1e-300)
+    together = [float(np.sum(x**2)) / total for x in (each, sums)[: 1 + (len(names) > 1)]]
+    return count / max(1.0, *together)
+
+
 def covariance_of(search: Search, theta, best: Evaluation):
     """Of theta, by linear least squares; (parameters, parameters)."""
     flat = best.jacobian.reshape(-1, len(theta))

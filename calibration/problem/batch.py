@@ -14,6 +14,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 import softrod_jax as sr
+from calibration.data.quantities import NOISE, numbers_of, quantities_in_motion, unit_noise
 from calibration.data.recording import RecordingError
 from calibration.data.selection import kept
 from calibration.experiment import drift
@@ -32,10 +33,14 @@ class Batch(eqx.Module):
     - `dt` [s], (recordings,). `inputs`, (recordings, steps + 1, actuators) each: row 0 at the
       start, row k + 1 acts in step k.
     - `times` [s], (recordings, samples), from the origin; `tip` [m], (recordings, samples, 3),
-      zero where it is not `used`.
+      zero where it is not `used`; `others`, (recordings, samples, numbers): what else was measured
+      of `keys`, one after the other (`calibration.data.quantities`).
+    - `used`, (recordings, samples, 3 + numbers): which coordinates of the tip, and then which of
+      the others, were measured.
     - `hanging`: the rod starts in equilibrium under the first inputs, not straight.
-    - `weights`, like `tip`: of each residual in the sum of squares, as a factor of the residual;
-      0 where not `used`.
+    - `factors`, (recordings, 3 + numbers): of residuals of other units, to metres that weigh as
+      much: the noise of the tip over their own. `weights`, like `used`: of each residual in the sum
+      of squares, as a factor of the residual, these among them; 0 where not `used`.
     - `free_frame`: the recording does not know where the clamp is, nor its axes quite.
     - `ramps`: for each channel that may drift what part of each of its windows is over, at
       `times`, and for the inputs at their rows: (recordings, samples or rows, windows).
@@ -46,14 +51,17 @@ class Batch(eqx.Module):
     inputs: Inputs
     times: Float[Array, "recordings samples"]
     tip: Float[Array, "recordings samples 3"]
-    used: Bool[Array, "recordings samples 3"]
-    weights: Float[Array, "recordings samples 3"]
+    others: Float[Array, "recordings samples numbers"]
+    used: Bool[Array, "recordings samples all"]
+    factors: Float[Array, "recordings all"]
+    weights: Float[Array, "recordings samples all"]
     hanging: Bool[Array, "recordings"]
     free_frame: Bool[Array, "recordings"]
     ramps: dict[str, Float[Array, "recordings _ windows"]]
     conditions: dict[str, Float[Array, "recordings"]]
     steps: int = eqx.field(static=True)
     any_hanging: bool = eqx.field(static=True)
+    keys: tuple[str, ...] = eqx.field(static=True, default=())
 
 
 def make_batch(
@@ -80,15 +88,19 @@ def make_batch(
         for r, s, d in zip(data.recordings, data.selections, each, strict=True)
     ]
     steps, samples, windows = _sizes(data, clocks, like)
-    times, tip, used = _measured(data, clocks, samples)
+    keys = _keys(data, like)
+    factors = np.array([_factors(scene, r, keys) for r in data.recordings])
+    times, measured, used = _measured(data, clocks, samples, keys)
     hanging = np.array([hangs(scene, r) for r in data.recordings])
     batch = Batch(
         dt=jnp.array([c.dt for c in clocks]),
         inputs=_inputs(scene, data.recordings, clocks, steps),
         times=jnp.array(times),
-        tip=jnp.array(tip),
+        tip=jnp.array(measured[..., :3]),
+        others=jnp.array(measured[..., 3:]),
         used=jnp.array(used),
-        weights=jnp.array(used, dtype=float),
+        factors=jnp.array(factors),
+        weights=jnp.array(used * factors[:, None]),
         hanging=jnp.array(hanging),
         free_frame=jnp.array([not r.origin_known for r in data.recordings]),
         ramps=_ramps(data, clocks, windows, steps, samples),
@@ -98,6 +110,7 @@ def make_batch(
         },
         steps=steps,
         any_hanging=bool(np.any(hanging)),
+        keys=keys,
     )
     return batch, clocks
 
@@ -127,18 +140,40 @@ def _sizes(
     return steps, samples, {name: max(n, *own(name)) for name, n in windows.items()}
 
 
-def _measured(data: Dataset, clocks: Sequence[Clock], samples: int):
-    """Times [s], (recordings, samples), tips [m] and which of their coordinates were measured,
-    (recordings, samples, 3); 0 where nothing was."""
+def _keys(data: Dataset, like: Batch | None) -> tuple[str, ...]:
+    """What was measured besides the tip in any recording, and in those of another batch."""
+    own = (key for r in data.recordings for key in r.others)
+    return tuple(dict.fromkeys((*(() if like is None else like.keys), *own)))
+
+
+def _factors(scene: sr.Scene, recording, keys) -> list[float]:
+    """See `Batch`; raises `RecordingError` for a key that the scene does not have."""
+    tip = recording.noise.get("tip", NOISE)
+    try:
+        return [1.0] * 3 + [
+            tip / x for x in unit_noise(quantities_in_motion(scene), keys, recording.noise)
+        ]
+    except ValueError as e:
+        raise RecordingError(f"{recording.source or recording.name}: {e}") from None
+
+
+def _measured(data: Dataset, clocks: Sequence[Clock], samples: int, keys):
+    """Times [s], (recordings, samples), tips [m] and what else was measured, and which of all that
+    was, (recordings, samples, 3 + numbers); 0 where nothing was."""
     shape = (len(data), samples)
-    times, tip, used = np.zeros(shape), np.zeros((*shape, 3)), np.zeros((*shape, 3), dtype=bool)
+    counts = {key: own.stop - own.start for key, own in numbers_of(keys).items()}
+    times, all_ = np.zeros(shape), np.zeros((*shape, 3 + sum(counts.values())))
+    used = np.zeros(all_.shape, dtype=bool)
     for i, (r, s, c) in enumerate(zip(data.recordings, data.selections, clocks, strict=True)):
         chosen = kept(r, s)
-        n, measured = int(np.sum(chosen)), r.tip_positions[chosen]
+        n = int(np.sum(chosen))
+        nothing = lambda key, n=n: np.full((n, counts[key]), np.nan)
+        parts = [r.others[k][chosen] if k in r.others else nothing(k) for k in keys]
+        measured = np.concatenate([r.tip_positions[chosen], *parts], axis=1)
         times[i, :n] = r.times[chosen] - c.origin
         used[i, :n] = np.isfinite(measured)
-        tip[i, :n] = np.nan_to_num(measured)
-    return times, tip, used
+        all_[i, :n] = np.nan_to_num(measured)
+    return times, all_, used
 
 
 def _ramps(

@@ -43,18 +43,19 @@ def reverse_pays(parameters: int, outputs: int) -> bool:
 
 
 class Evaluation(eqx.Module):
-    """Residuals [m] and sensitivities of every recording, or of one; 0 where samples are missing.
+    """Residuals and sensitivities of every recording, or of one; 0 where samples are missing.
 
-    - `residuals`, (recordings, samples, 3): simulated minus measured.
-    - `by_parameter`, (recordings, samples, 3, parameters), and `by_nuisance`, its leaves
-      (recordings, samples, 3, ..) by those of the nuisance parameters, see `evaluate`: derivatives
-      of the residuals, by forward mode. By reverse mode, (recordings, parameters) [m^2] and
-      (recordings, ..): derivatives of each recording's sum of squared weighted residuals.
+    - `residuals`, (recordings, samples, all): simulated minus measured, of the tip [m], then of
+      what else was measured.
+    - `by_parameter`, (recordings, samples, all, parameters), and `by_nuisance`, its leaves
+      (recordings, samples, all, ..) by those of the nuisance parameters, see `evaluate`:
+      derivatives of the residuals, by forward mode. By reverse mode, (recordings, parameters)
+      [m^2] and (recordings, ..): derivatives of each recording's sum of squared weighted residuals.
     - `alignment`: what was added to the simulated tip to get there.
     - `motion`: the simulated tips, before that.
     """
 
-    residuals: Float[Array, "*recordings samples 3"]
+    residuals: Float[Array, "*recordings samples all"]
     by_parameter: Float[Array, "... parameters"]
     by_nuisance: dict[str, Float[Array, "..."]]
     alignment: Alignment
@@ -86,7 +87,7 @@ def _check_memory(batch: Batch, nuisance, parameters: int, method, reverse: bool
     # The motion depends on parameters and on what became of the inputs; how it is seen, on all.
     moving = parameters + seen.get("inputs", 0)
     needed = motion_bytes(many, steps, method.intervals, 1 if reverse else moving)
-    needed += 0 if reverse else 3 * 8.0 * batch.times.size * (parameters + sum(seen.values()))
+    needed += 0 if reverse else 8.0 * batch.used.size * (parameters + sum(seen.values()))
     check_memory(
         needed,
         f"{many} recording{'s'[: many > 1]} of up to {steps} steps and {samples} samples"

@@ -9,6 +9,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
 import softrod_jax as sr
+from calibration.experiment.quantities import simulated_in_time
 from calibration.experiment.release import with_supporting_hand
 from calibration.experiment.setup import Setup, rotated
 from calibration.problem.batch import Batch
@@ -26,7 +27,8 @@ class Motion(eqx.Module):
     """The simulated marker of one recording on the grid of time steps, (steps + 1, 3) each.
 
     `shapes`: the rod, (steps + 1, outputs, 3). `error`: of the grid along it, the largest of all
-    steps, as the solver estimates it, in lengths of the rod. `attitudes`, (steps + 1, outputs, 4),
+    steps, as the solver estimates it, in lengths of the rod. `others`: what else was measured, all
+    numbers of the batch's keys; None where nothing was. `attitudes`, (steps + 1, outputs, 4),
     and `strains`, (steps + 1, outputs, 6), at `arc_lengths` [m]: what draws the rod between.
     """
 
@@ -37,6 +39,7 @@ class Motion(eqx.Module):
     error: Float[Array, ""]
     attitudes: Float[Array, "rows outputs 4"] | None = None
     strains: Float[Array, "rows outputs 6"] | None = None
+    others: Float[Array, "rows numbers"] | None = None
     arc_lengths: Float[Array, "outputs"] | None = None
 
 
@@ -52,9 +55,9 @@ def simulate_motion(setup: Setup, batch: Batch, scheme, method) -> Motion:
         strain = jnp.where(batch.hanging, initial.point_strains, _rest_strain(scene))
         tensions = jnp.where(batch.hanging, initial.tensions, 0.0)
         initial = eqx.tree_at(
-            lambda i: (i.point_strains, i.tensions, i.result),
+            lambda i: (i.point_strains, i.tensions, i.wrenches, i.result),
             initial,
-            (strain, tensions, start_result),
+            (strain, tensions, jnp.where(batch.hanging, initial.wrenches, 0.0), start_result),
         )
     inputs = jax.tree.map(lambda x: x[1:], inputs)
     if setup.release_duration is not None and not jax.tree.leaves(inputs):
@@ -81,6 +84,7 @@ def simulate_motion(setup: Setup, batch: Batch, scheme, method) -> Motion:
         velocities = velocities + rotated(attitude, turning)
     positions, velocities = setup.seen_position(positions), setup.seen_direction(velocities)
     error = jax.lax.stop_gradient(jnp.max(trajectory.stats["error"]))
+    others = [simulated_in_time(setup, trajectory, key) for key in batch.keys]
     return Motion(
         positions,
         velocities,
@@ -89,6 +93,7 @@ def simulate_motion(setup: Setup, batch: Batch, scheme, method) -> Motion:
         error,
         trajectory.quaternions,
         trajectory.strains,
+        jnp.concatenate(others, axis=1) if others else None,
         trajectory.arc_lengths,
     )
 
@@ -120,3 +125,17 @@ def tip_at(motion: Motion, dt, times: Float[Array, "samples"]) -> Float[Array, "
     v0, v1 = dt * motion.velocities[k], dt * motion.velocities[k + 1]
     change = u * u * (3 - 2 * u) * (p1 - p0)
     return p0 + change + u * (1 - u) * ((1 - u) * v0 - u * v1)
+
+
+def others_at(motion: Motion, dt, times: Float[Array, "samples"]) -> Float[Array, "samples n"]:
+    """What else was measured at `times` [s] of the simulation, by cubic interpolation with slopes
+    of differences; it need not be at rest at the ends."""
+    values = motion.others
+    assert values is not None, "there is something to interpolate"
+    last = values.shape[0] - 1
+    x = jnp.clip(times / dt, 0, last)
+    k = jnp.clip(jnp.floor(jax.lax.stop_gradient(x)).astype(int), 0, last - 1)
+    u = (x - k)[:, None]
+    slope = lambda k: (values[jnp.minimum(k + 1, last)] - values[jnp.maximum(k - 1, 0)]) / 2
+    change = u * u * (3 - 2 * u) * (values[k + 1] - values[k])
+    return values[k] + change + u * (1 - u) * ((1 - u) * slope(k) - u * slope(k + 1))

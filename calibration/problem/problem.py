@@ -4,6 +4,7 @@ A `Problem` evaluates places in its space; a `Point` is such a place with its re
 and its derivatives, which `calibration.problem.evaluation` computes.
 """
 
+import abc
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -39,7 +40,7 @@ class Point:
 
     @cached_property
     def residuals(self) -> Float[np.ndarray, "coordinates"]:
-        """Weighted, (recordings * samples * 3,) [m]."""
+        """Weighted, of all that was measured [m]."""
         return (self.problem.statistics.weights * self.evaluation.residuals).ravel()
 
     @cached_property
@@ -57,11 +58,23 @@ class Point:
         return 2 * self.jacobian.T @ self.residuals + pull
 
     @cached_property
-    def beliefs(
+    def from_priors(
         self,
     ) -> tuple[Float[np.ndarray, "priors"], Float[np.ndarray, "priors unknowns"]]:
         """How far the parameters are from their priors, in standard deviations, and derivatives."""
         return prior_rows(self.problem.prior_places, self.x)
+
+    @cached_property
+    def beliefs(
+        self,
+    ) -> tuple[Float[np.ndarray, "told"], Float[np.ndarray, "told unknowns"]]:
+        """Of all that is told besides the recordings, priors first: how far off it is, in standard
+        deviations, and derivatives."""
+        if self.problem.beside is None:
+            return self.from_priors
+        parts = zip(self.from_priors, self.problem.beside.rows(self.x), strict=True)
+        r, J = (np.concatenate(part) for part in parts)
+        return r, J
 
     @cached_property
     def rows(
@@ -106,12 +119,15 @@ class Point:
     @property
     def rms(self) -> float:
         """Root mean square distance between measured and simulated tip [m]."""
-        return float(np.sqrt(self.misfit / self.problem.statistics.samples))
+        statistics = self.problem.statistics
+        apart = (statistics.weights * self.evaluation.residuals)[..., :3]
+        return float(np.sqrt(np.sum(apart**2) / statistics.samples))
 
     @property
     def explains(self) -> bool:
         """Whether it leaves little of the motion, or no more than noise."""
-        return self.problem.statistics.explained(self.loss)
+        own = self.loss if self.problem.beside is None else self.misfit
+        return self.problem.statistics.explained(own)
 
     @property
     def result(self) -> int:
@@ -122,6 +138,25 @@ class Point:
         return self.result == sr.RESULTS.successful and bool(np.isfinite(self.loss))
 
 
+class AbstractBeside(abc.ABC):
+    """What was measured besides the recordings of a problem and depends on the same unknowns.
+
+    `scale`: its noise, in terms of what was stated.
+    """
+
+    scale: float
+
+    @abc.abstractmethod
+    def rows(
+        self, x: Float[np.ndarray, "unknowns"]
+    ) -> tuple[Float[np.ndarray, "rows"], Float[np.ndarray, "rows unknowns"]]:
+        """Residuals in terms of their noise, and derivatives."""
+
+    @abc.abstractmethod
+    def weighed(self, x: Float[np.ndarray, "unknowns"]) -> "AbstractBeside":
+        """The same with the noise that its residuals at `x` have."""
+
+
 @dataclass(frozen=True, eq=False)
 class Problem:
     """Setup, recordings and what is fitted: from x to an evaluated `Point`.
@@ -130,6 +165,7 @@ class Problem:
     - `priors`: mean and standard deviation of parameters, by name or label.
     - `prior_variance` [m^2]: of an independent coordinate of the residuals, by which priors are
       weighed against them; None: that of the noise alone (`calibration.inference.beliefs`).
+    - `beside`: what else was measured, weighed in the same way.
     """
 
     setup: Setup
@@ -140,6 +176,7 @@ class Problem:
     reverse: bool = False
     priors: Priors = field(default_factory=dict)
     prior_variance: float | None = None
+    beside: AbstractBeside | None = None
 
     @property
     def scene(self) -> sr.Scene:
@@ -173,12 +210,12 @@ class Problem:
     @cached_property
     def variance(self) -> float:
         """That by which priors are weighed [m^2]."""
-        if not self.priors:
+        if not self.priors and self.beside is None:
             return 0.0
         given = self.prior_variance
         return self.statistics.noise**2 if given is None else given
 
-    def weighted(self, weights: Float[np.ndarray, "recordings samples 3"]) -> "Problem":
+    def weighted(self, weights: Float[np.ndarray, "recordings samples all"]) -> "Problem":
         """The same problem with other weights."""
         batch = eqx.tree_at(lambda b: b.weights, self.batch, jnp.asarray(weights))
         return replace(self, batch=batch)

@@ -44,14 +44,14 @@ _FAILURES = 3
 class FinerSimulations:
     """The recordings at one place on twice the grid, with the steps as they are and with half.
 
-    - `same`, `half` [m], (recordings, samples, 3): residuals; None where a simulation failed.
+    - `same`, `half`, (recordings, samples, all): residuals; None where a simulation failed.
     - `motions`: with half the steps. `error`: along the rod on twice the grid, as the solver
       estimates it, in lengths of the rod.
     - `curable`: whether what failed may succeed with finer simulations.
     """
 
-    same: Float[np.ndarray, "recordings samples 3"] | None
-    half: Float[np.ndarray, "recordings samples 3"] | None
+    same: Float[np.ndarray, "recordings samples all"] | None
+    half: Float[np.ndarray, "recordings samples all"] | None
     motions: Motion | None
     error: float
     curable: bool
@@ -200,7 +200,9 @@ def _parts(excess: float, order: int) -> int:
 
 
 def _rms(problem: Problem, change) -> float:
-    """The rms of a change of all residuals [m], in the recording where it is largest."""
-    weights = problem.statistics.weights**2
-    each = np.sum(weights * change**2, axis=(1, 2)) / np.sum(np.max(weights, axis=2), axis=1)
+    """The rms of a change of the tips' residuals [m], in the recording where it is largest."""
+    weights = problem.statistics.weights[..., :3] ** 2
+    each = np.sum(weights * change[..., :3] ** 2, axis=(1, 2)) / np.sum(
+        np.max(weights, axis=2), axis=1
+    )
     return float(np.sqrt(np.max(each)))

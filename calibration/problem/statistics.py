@@ -21,19 +21,19 @@ class DataStatistics:
     batch: Batch
 
     @cached_property
-    def weights(self) -> Float[np.ndarray, "recordings samples 3"]:
+    def weights(self) -> Float[np.ndarray, "recordings samples all"]:
         """Factors of the residuals; 0 where nothing was measured."""
         return np.asarray(self.batch.weights)
 
     @cached_property
     def samples(self) -> float:
         """Samples with at least one coordinate of the tip, each counting by its weight."""
-        return float(np.sum(np.max(self.weights**2, axis=-1)))
+        return float(np.sum(np.max(self.weights[..., :3] ** 2, axis=-1)))
 
     @cached_property
     def noise(self) -> float:
         """Standard deviation [m] of a coordinate's noise, from second differences."""
-        used = np.asarray(self.batch.used)
+        used = np.asarray(self.batch.used)[..., :3]
         measured = np.any(used, axis=1, keepdims=True)
         used = np.all(used | ~measured, axis=-1) & np.any(used, axis=-1)
         tips = [np.asarray(tip)[u] for tip, u in zip(self.batch.tip, used, strict=True)]
@@ -42,7 +42,7 @@ class DataStatistics:
     @cached_property
     def motion_rms(self) -> float:
         """Root mean square distance of the measured tips from their mean [m]."""
-        w = self.weights**2
+        w = self.weights[..., :3] ** 2
         mean = np.sum(w * self.batch.tip, axis=1) / np.maximum(np.sum(w, axis=1), 1e-12)
         about = np.asarray(self.batch.tip) - mean[:, None]
         return float(np.sqrt(np.sum(w * about**2) / self.samples))

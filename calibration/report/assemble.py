@@ -13,7 +13,7 @@ from calibration.inference.uncertainty import IDENTIFIED, Uncertainty
 from calibration.problem.dataset import Dataset
 from calibration.problem.problem import Point
 from calibration.report.recordings import recording_fit
-from calibration.report.results import Estimate, Fit, RecordingFit
+from calibration.report.results import Estimate, Fit, PosturesFit, RecordingFit
 from calibration.search.history import History
 from calibration.search.multistart import Start
 from calibration.search.settings import SearchSettings
@@ -30,6 +30,7 @@ def assemble_fit(
     explanations: tuple[Explanation, ...] | None,
     held_out: tuple[RecordingFit, ...],
     material: str | None,
+    postures: PosturesFit | None,
     seconds: float,
 ) -> Fit:
     """The fit of `data` that ended where `resolved` says, with all that was found out about it."""
@@ -63,6 +64,7 @@ def assemble_fit(
         priors=best.problem.priors,
         conflicts=contradicted(best),
         checkpoint=history.checkpoint,
+        postures=postures,
         seconds=seconds,
     )
 

@@ -7,6 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
+from calibration.data.quantities import TURN, numbers_of, quantities_in_motion
 from calibration.data.selection import kept
 from calibration.experiment.beginning import beginning
 from calibration.experiment.drift import Drift, drifts
@@ -16,7 +17,7 @@ from calibration.problem.batch import recording_of
 from calibration.problem.dataset import Dataset
 from calibration.problem.motion import Motion, tip_at
 from calibration.problem.problem import Point
-from calibration.report.results import RecordingFit, RodMotion
+from calibration.report.results import Compared, RecordingFit, RodMotion, compared
 
 
 def held_out_fits(best: Point, unseen: Dataset, dt: float | None) -> tuple[RecordingFit, ...]:
@@ -49,7 +50,7 @@ def recording_fit(
     recording, selection, clock = data.recordings[k], data.selections[k], problem.space.clocks[k]
     chosen = kept(recording, selection)
     times, measured = recording.times[chosen], recording.tip_positions[chosen]
-    residuals = np.where(np.isfinite(measured), evaluation.residuals[k, : len(times)], np.nan)
+    residuals = np.where(np.isfinite(measured), evaluation.residuals[k, : len(times), :3], np.nan)
     nuisance = recording_of(problem.space.nuisance(best.x), k)
     delay, drift = nuisance["delay"], drifts(nuisance, clock)
     alignment = recording_of(evaluation.alignment, k)
@@ -70,7 +71,8 @@ def recording_fit(
         times=times,
         measured=measured,
         simulated=measured + residuals,
-        weights=problem.statistics.weights[k, : len(times)],
+        weights=problem.statistics.weights[k, : len(times), :3],
+        others=_others(best, k, recording, len(times)),
         curve_times=curve_times,
         curve=_curve(best, k, curve_times, delay, drift),
         rmse=float(np.sqrt(np.nansum(residuals**2) / len(times))),
@@ -93,6 +95,23 @@ def recording_fit(
             inputs=_inputs(recording, clock.zero + step * rows),
         ),
     )
+
+
+def _others(best: Point, k: int, recording, samples: int) -> dict[str, Compared]:
+    """What else was measured in recording `k`, by key."""
+    problem, found = best.problem, {}
+    known = quantities_in_motion(problem.scene)
+    for key, own in numbers_of(problem.batch.keys).items():
+        if key not in recording.others:
+            continue
+        there = np.asarray(problem.batch.used)[k, :samples, 3:][:, own]
+        measured = np.where(there, np.asarray(problem.batch.others)[k, :samples, own], np.nan)
+        simulated = measured + best.evaluation.residuals[k, :samples, 3:][:, own]
+        noise = recording.noise.get(key, known[key].noise)
+        # Four numbers of a quaternion, which change by half an angle, for three angles.
+        size = 4 / np.sqrt(3) if key.endswith(TURN) else 1.0
+        found[key] = compared(simulated, measured, noise, known[key].unit, size)
+    return found
 
 
 def _inputs(recording, times) -> dict[str, np.ndarray]:

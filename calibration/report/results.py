@@ -1,9 +1,10 @@
 """What a calibration hands back: numbers with intervals and verdicts, and how they came about."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
+from jaxtyping import Float
 
 import softrod_jax as sr
 from calibration.data.recording import Recording
@@ -48,6 +49,25 @@ class Estimate:
 
 
 @dataclass(frozen=True, eq=False)
+class Compared:
+    """A quantity, (rows, numbers), simulated and measured, NaN where missing; `rms` of their
+    difference, and `noise`, as stated; all in `unit`."""
+
+    simulated: Float[np.ndarray, "rows numbers"]
+    measured: Float[np.ndarray, "rows numbers"]
+    rms: float
+    noise: float
+    unit: str
+
+
+def compared(simulated, measured, noise: float, unit: str, size: float = 1.0) -> Compared:
+    """The two side by side; `size`: of the rms in `unit`, where the numbers have another one."""
+    both = np.isfinite(simulated - measured)
+    rms = float(np.sqrt(np.mean((simulated - measured)[both] ** 2))) if both.any() else np.nan
+    return Compared(simulated, measured, size * rms, noise, unit)
+
+
+@dataclass(frozen=True, eq=False)
 class RodMotion:
     """The rod's simulated motion, as it is drawn, and what was seen of it.
 
@@ -75,6 +95,7 @@ class RecordingFit:
     - `times` [s], the recording's clock; `measured` and `simulated` [m], (n, 3); NaN where a
       coordinate is missing. The simulated tip is seen in the recording's frame.
     - `weights`, (n, 3): 1, less for outliers if the loss is robust.
+    - `others`: what else was measured: `Compared` by key (`calibration.data.quantities`).
     - `curve_times` [s] and `curve` [m]: the simulated tip on a fine grid, for plots.
     - `rmse` [m]: root mean square distance, every sample counting the same; `rmse_axes` [m], (3,).
     - `time_offset` [s]: for a recording with inputs, how much later than its inputs the tip's
@@ -106,9 +127,28 @@ class RecordingFit:
     tip_offset: np.ndarray | None
     frame_rotation: np.ndarray | None
     motion: RodMotion
+    others: Mapping[str, Compared] = field(default_factory=dict)
     beginning: str = ""
     frame_fitted: bool = True
     rmse_own_frame: float | None = None
+
+
+@dataclass(frozen=True)
+class PosturesFit:
+    """What is left of equilibria that were fitted together with motions.
+
+    - `name`, `source`: of the logs; `rows`, and of how many there is no equilibrium, `unsolved`.
+    - `rmse_m` [m]: root mean square distance of all markers; `rmse_by_marker`, by name.
+    - `noise_scale`: how many times larger residuals are than the noise that was stated.
+    """
+
+    name: str
+    source: str
+    rows: int
+    unsolved: int
+    rmse_m: float
+    rmse_by_marker: Mapping[str, float]
+    noise_scale: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -132,6 +172,7 @@ class Fit:
       `resolution_note`: what finer simulations say, if it is more than shifts of parameters.
     - `priors`: mean and standard deviation of what was known beforehand, by parameter; `conflicts`:
       those that the recordings contradict, and by how many standard deviations.
+    - `postures`: equilibria that were fitted as well; None without any.
     - `checkpoint`: that of the fit, for `calibration.report.writing.write_report` to remove.
     - `seconds`: how long the fit took.
     """
@@ -161,6 +202,7 @@ class Fit:
     conflicts: Mapping[str, float]
     checkpoint: Checkpoint
     seconds: float
+    postures: PosturesFit | None = None
 
     def summary(self) -> str:
         """The parameters and what is left of each recording, as lines of text."""

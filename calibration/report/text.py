@@ -18,6 +18,10 @@ def summary_text(fit) -> str:
         for r in fit.recordings
     ]
     text += [_predicted(r) for r in fit.held_out]
+    for r in (*fit.recordings, *fit.held_out):
+        text += [f"{r.name}, {line}" for line in others_text(r.others)]
+    if fit.postures is not None:
+        text.append(postures_text(fit.postures))
     text += [
         f"{name}: its prior and the recordings are {apart:.1f} standard deviations apart"
         for name, apart in fit.conflicts.items()
@@ -36,6 +40,23 @@ def as_rows(parameters: Mapping[str, Any]) -> list[str]:
         )
     widths = [max(len(line[i]) for line in lines) for i in range(len(lines[0]))]
     return ["  ".join(c.ljust(w) for c, w in zip(line, widths, strict=True)) for line in lines]
+
+
+def others_text(others) -> list[str]:
+    """What is left of what else was measured, by key: lines of text."""
+    return [
+        f"{key}: {x.rms:.3g} {x.unit} rms, {x.rms / x.noise:.2g} times the noise"
+        for key, x in others.items()
+    ]
+
+
+def postures_text(postures) -> str:
+    """What is left of equilibria that were fitted, too."""
+    failed = f", {postures.unsolved} without one in the simulation" if postures.unsolved else ""
+    return (
+        f"{postures.name}: {postures.rows} equilibria, {1e3 * postures.rmse_m:.3g} mm rms, "
+        f"{postures.noise_scale:.2g} times the noise that was stated{failed}"
+    )
 
 
 def _predicted(r) -> str:

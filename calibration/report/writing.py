@@ -3,6 +3,7 @@
 import base64
 import json
 import os
+from collections.abc import Mapping
 from html import escape
 from os import PathLike
 from pathlib import Path
@@ -10,18 +11,22 @@ from pathlib import Path
 import numpy as np
 
 import softrod_jax as sr
+from calibration.inference.criteria import Verdict
+from calibration.report.comparison import comparison_html, comparison_json, comparison_text
 from calibration.report.films import write_films
 from calibration.report.granted import taken_for_granted
 from calibration.report.plots import write_plots
 from calibration.report.provenance import provenance
 from calibration.report.remarks import remarks
-from calibration.report.results import Estimate, Fit
+from calibration.report.results import Compared, Estimate, Fit, PosturesFit
 from calibration.report.tables import Html, table
-from calibration.report.text import interval_text, sampled, show_number
+from calibration.report.text import interval_text, postures_text, sampled, show_number
 
 
-def write_report(fit: Fit, out_dir: str | PathLike) -> Path:
+def write_report(fit: Fit, out_dir: str | PathLike, compared: Verdict | None = None) -> Path:
     """Write the fit into the directory `out_dir`, made if it is not there; returns its path.
+
+    `compared`: the verdict on the models of which this one was chosen (`calibration.comparison`).
 
     - `parameters.json`: what `as_json` gives.
     - `report.html`: the same for reading, with the plots inside.
@@ -35,11 +40,11 @@ def write_report(fit: Fit, out_dir: str | PathLike) -> Path:
     """
     out = Path(out_dir)
     out.mkdir(parents=True, exist_ok=True)
-    text = json.dumps(as_json(fit), indent=2, allow_nan=False)
+    text = json.dumps(as_json(fit, compared), indent=2, allow_nan=False)
     write_text(out / "parameters.json", text + "\n")
     pictures = write_plots(fit, out)
     films = write_films(fit, out)
-    write_text(out / "report.html", _html(fit, pictures, films))
+    write_text(out / "report.html", _html(fit, pictures, films, compared))
     sr.save_scene(fit.setup.simulated_scene(), out / "scene.toml")
     if fit.result != "interrupted":
         fit.checkpoint.remove()
@@ -56,12 +61,13 @@ def write_text(path: Path, text: str) -> None:
         partial.unlink(missing_ok=True)
 
 
-def summary(fit: Fit) -> str:
-    """As `fit.summary()`."""
-    return fit.summary()
+def summary(fit: Fit, compared: Verdict | None = None) -> str:
+    """As `fit.summary()`, after the comparison of models, if there was one."""
+    lines = [] if compared is None else [*comparison_text(compared), "", f"{compared.chosen}:"]
+    return "\n".join([*lines, fit.summary()])
 
 
-def as_json(fit: Fit) -> dict:
+def as_json(fit: Fit, compared: Verdict | None = None) -> dict:
     """The fit as plain numbers, lists and strings.
 
     "parameters", by name: value, ci95 = [low, high] (null on a side without a bound), initial,
@@ -69,8 +75,9 @@ def as_json(fit: Fit) -> dict:
     the time step and twice the grid, in half widths of the interval). "rmse_m" and "time_offset_s",
     by recording; "held_out_rmse_m", in the frame of the fit, and "held_out_rmse_own_frame_m", in
     one fitted to the recording, where it does not know its own (else null); "drift", by recording
-    and channel (`calibration.experiment.drift`), at the edges of the windows; and how the fit was
-    made.
+    and channel (`calibration.experiment.drift`), at the edges of the windows; "comparison", of
+    models (`calibration.report.comparison.comparison_json`), or null; "others", by recording, what
+    is left of what else was measured; and how the fit was made.
     """
     return {
         "result": fit.result,
@@ -79,6 +86,8 @@ def as_json(fit: Fit) -> dict:
         "held_out_rmse_m": {r.name: r.rmse for r in fit.held_out},
         "held_out_rmse_own_frame_m": {r.name: r.rmse_own_frame for r in fit.held_out},
         "rmse_axes_m": {r.name: plain(r.rmse_axes) for r in fit.recordings},
+        "postures": None if fit.postures is None else _postures_json(fit.postures),
+        "others": {r.name: others_json(r.others) for r in (*fit.recordings, *fit.held_out)},
         "samples": {r.name: sampled(r) for r in fit.recordings},
         "window_s": {r.name: [r.selection.start, r.selection.end] for r in fit.recordings},
         "time_offset_s": fit.time_offset_s,
@@ -111,6 +120,7 @@ def as_json(fit: Fit) -> dict:
             {"name": e.name, "rms_m": e.rms, "values": e.values, "reading": e.reading}
             for e in fit.explanations or ()
         ],
+        "comparison": None if compared is None else comparison_json(compared),
         "material": fit.material,
         "loss": fit.loss,
         "optimiser": fit.optimiser,
@@ -122,7 +132,7 @@ def as_json(fit: Fit) -> dict:
         "intervals": fit.method.intervals,
         "seconds": fit.seconds,
         "remarks": remarks(fit),
-        "made_by": provenance(r.recording.source for r in (*fit.recordings, *fit.held_out)),
+        "made_by": provenance(_sources(fit)),
     }
 
 
@@ -138,6 +148,29 @@ def estimate_as_json(e: Estimate) -> dict:
         "recording": e.recording,
         "step_shift": plain(e.step_shift),
         "grid_shift": plain(e.grid_shift),
+    }
+
+
+def _sources(fit: Fit) -> list[str]:
+    own = [r.recording.source for r in (*fit.recordings, *fit.held_out)]
+    return own if fit.postures is None else [*own, *fit.postures.source.split("\n")]
+
+
+def _postures_json(postures: PosturesFit) -> dict:
+    return {
+        "rows": postures.rows,
+        "unsolved": postures.unsolved,
+        "rmse_m": plain(postures.rmse_m),
+        "rmse_by_marker_m": {name: plain(x) for name, x in postures.rmse_by_marker.items()},
+        "noise_scale": plain(postures.noise_scale),
+    }
+
+
+def others_json(others: Mapping[str, Compared]) -> dict:
+    """What is left of what else was measured, by key."""
+    return {
+        key: {"rms": plain(x.rms), "unit": x.unit, "rms_by_noise": plain(x.rms / x.noise)}
+        for key, x in others.items()
     }
 
 
@@ -160,11 +193,14 @@ img { max-width: 100%; } .no { color: #b00; } li { margin: .4em 0; } small { col
 """
 
 
-def _html(fit: Fit, pictures: dict[str, Path], films: dict[str, Path]) -> str:
+def _html(
+    fit: Fit, pictures: dict[str, Path], films: dict[str, Path], compared: Verdict | None
+) -> str:
     parts = [
         "<!doctype html><html lang='en'><meta charset='utf-8'><title>Calibration</title>",
         f"<style>{STYLE}</style><h1>Calibration</h1>",
         f"<p>{_headline(fit)}</p>",
+        *comparison_html(compared),
         "<h2>Parameters</h2>",
         table(
             (
@@ -195,6 +231,8 @@ def _html(fit: Fit, pictures: dict[str, Path], films: dict[str, Path]) -> str:
         "much later than the inputs the tip's clock says they began. Samples used: "
         + "; ".join(sorted({escape(r.selection.rule) for r in fit.recordings}))
         + ".</small></p>",
+        *_others(fit),
+        *([] if fit.postures is None else [f"<p>{escape(postures_text(fit.postures))}</p>"]),
         *_notes(fit),
         *_held_out(fit),
         *_starts(fit),
@@ -228,6 +266,17 @@ def _headline(fit: Fit) -> str:
         f"{1e3 * worst:.3g} mm rms from the measured one"
         + (" in the worst of them." if len(fit.recordings) > 1 else ".")
     )
+
+
+def _others(fit: Fit) -> list[str]:
+    """What else was measured."""
+    rows = [
+        (r.name, key, f"{x.rms:.4g}", x.unit, f"{x.rms / x.noise:.2f}")
+        for r in (*fit.recordings, *fit.held_out)
+        for key, x in r.others.items()
+    ]
+    head = ("recording", "measured, too", "rms left", "unit", "times the noise stated")
+    return [table(head, rows)] if rows else []
 
 
 def _notes(fit: Fit) -> list[str]:

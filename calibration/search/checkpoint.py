@@ -115,6 +115,7 @@ def _fingerprint(problem: Problem, settings: SearchSettings) -> str:
     space = problem.space
     how = (settings.optimiser, settings.loss, settings.starts, settings.seed)
     how += (sorted(problem.priors.items()),) if problem.priors else ()
+    how += () if problem.beside is None else (type(problem.beside).__name__,)
     parts = hashlib.sha256(repr((space.parameters.names, space.time_offset, how)).encode())
     for leaf in jax.tree.leaves((problem.setup, problem.batch)):
         parts.update(np.asarray(leaf).tobytes())

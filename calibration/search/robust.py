@@ -18,14 +18,14 @@ LOSSES = ("squares", "huber", "tukey")
 
 def robust_weights(
     point: Point, loss: str, round_: int
-) -> Float[np.ndarray, "recordings samples 3"]:
+) -> Float[np.ndarray, "recordings samples all"]:
     """Factors of the residuals for the next round; 0 where unused.
 
     Tukey's, which forget an outlier altogether, need a good start: two rounds of Huber's.
     """
     used = np.asarray(point.problem.batch.used)
     raw = np.where(used, np.abs(point.evaluation.residuals), np.nan)
-    sigma = np.zeros((len(raw), 1, 3))
+    sigma = np.zeros((len(raw), 1, raw.shape[-1]))
     for k, axis in np.argwhere(np.any(used, axis=1)):
         sigma[k, 0, axis] = _MAD * np.nanmedian(raw[k, :, axis])
     floor = 1e-7 * float(point.problem.scene.length)
@@ -34,4 +34,4 @@ def robust_weights(
         w = np.where(z < _TUKEY, (1 - (z / _TUKEY) ** 2) ** 2, 0.0)
     else:
         w = np.minimum(1.0, _HUBER / np.maximum(z, 1e-12))
-    return np.sqrt(w) * used
+    return np.sqrt(w) * used * np.asarray(point.problem.batch.factors)[:, None]

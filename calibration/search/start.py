@@ -47,7 +47,7 @@ def by_frequency(problem: Problem, first: Point, report: Report) -> np.ndarray:
     for _ in range(_TRIES if modulus else 0):
         if not point.ok:
             break
-        tip = np.asarray(problem.batch.tip) + point.evaluation.residuals
+        tip = np.asarray(problem.batch.tip) + point.evaluation.residuals[..., :3]
         simulated = _frequency(problem, tip)
         if simulated is None or abs(np.log(measured / simulated)) < 0.01:
             break
@@ -133,7 +133,7 @@ def _frequency(problem: Problem, tip: np.ndarray) -> float | None:
     total, grid = np.zeros(1), None
     times = np.asarray(problem.batch.times)
     for k, clock in enumerate(problem.space.clocks):
-        measured = np.all(np.asarray(problem.batch.used)[k], axis=1)
+        measured = np.all(np.asarray(problem.batch.used)[k, :, :3], axis=1)
         moving = measured & (times[k] >= 0)
         if np.count_nonzero(moving) < 16:
             continue

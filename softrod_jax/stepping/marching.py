@@ -35,6 +35,7 @@ class March(NamedTuple):
     results: Int[Array, "steps"]
     multipliers: Float[Array, "steps conditions"] | None
     stats: dict
+    wrenches: Float[Array, "steps 6"]
     pushes: Float[Array, "steps contacts 3"] | None = None
 
 
@@ -85,6 +86,7 @@ class Stepping(NamedTuple):
             jnp.where(coarse, RESULTS.inaccurate, result).astype(jnp.int32),
             progress.multipliers,
             stats,
+            in_space(progress.wrench, self.moving.rod.plane),
             progress.pushes,
         )
 
@@ -143,4 +145,6 @@ def march(
     if pushes is not None and unpushed is not None:
         pushes = jnp.concatenate([unpushed[None], pushes])
     strains, velocities = full_strain(strains, rod), in_space(velocities, rod.plane)
-    return March(strains, velocities, results, multipliers, seen.stats, pushes)
+    at_rest = in_space(start.progress.wrench, rod.plane)
+    wrenches = jnp.concatenate([at_rest[None], seen.wrenches])
+    return March(strains, velocities, results, multipliers, seen.stats, wrenches, pushes)

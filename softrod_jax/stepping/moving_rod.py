@@ -29,6 +29,7 @@ from softrod_jax.rod.reduction import make_rod
 from softrod_jax.rod.relaxation import Crept
 from softrod_jax.rod.state import History, Layout, layout_of
 from softrod_jax.scene.inputs import Inputs, good_inputs, zero_unless
+from softrod_jax.scene.planes import turn_in, vector_in
 from softrod_jax.scene.scene import Scene
 from softrod_jax.stepping.inertial_continuation import Before, SharedFactors, search_by_inertia
 from softrod_jax.stepping.scheme import AbstractTimeScheme, LocalErrors
@@ -57,7 +58,8 @@ class Fields(NamedTuple):
 class Beginning(NamedTuple):
     """The equilibrium in which a motion begins, its result code and, where they are known, inputs.
 
-    `multipliers`: as in `Guess`; `slid`: of tendons with friction; `pushes` [N]: of obstacles.
+    `multipliers`: as in `Guess`; `slid`: of tendons with friction; `pushes` [N]: of obstacles;
+    `wrench`: the total force and moment at the base, body frame.
     """
 
     strain: Float[Array, "points 6"]
@@ -66,6 +68,7 @@ class Beginning(NamedTuple):
     inputs: Inputs = Inputs()
     slid: Slid | None = None
     pushes: Float[Array, "contacts 3"] | None = None
+    wrench: Float[Array, "6"] | None = None
 
 
 class Progress(NamedTuple):
@@ -80,6 +83,7 @@ class Progress(NamedTuple):
     - `result`: the code so far. `iterations` and `correction`: in this step.
     - `error`: estimated, along the rod; `time_error`: estimated, of the tip so far, in lengths.
     - `pushes` [N]: the force of each obstacle on the rod, with its derivative; `None` without any.
+    - `wrench`: (N, M) at the base, with its derivative.
     - `part`: the length of the next substep, in steps, where errors choose it.
     """
 
@@ -98,6 +102,7 @@ class Progress(NamedTuple):
     error: Float[Array, ""]
     part: Float[Array, ""]
     time_error: Float[Array, ""]
+    wrench: Float[Array, "pair"]
     crept: Crept | None = None
     pushes: Float[Array, "contacts 3"] | None = None
 
@@ -180,10 +185,18 @@ class MovingRod(NamedTuple):
             error=none,
             part=jnp.ones(()),
             time_error=none,
+            wrench=self._wrench_at_first(begin),
             crept=jax.lax.stop_gradient(crept),
             pushes=self._pushed_at_first(begin),
         )
         return State(self.scheme.start(Fields(guess.strain, still, crept), guess), progress)
+
+    def _wrench_at_first(self, begin: Beginning | None):
+        if begin is None or begin.wrench is None:
+            return jnp.zeros(self.layout.pair)
+        wrench = jnp.where(jnp.all(jnp.isfinite(begin.strain)), begin.wrench, 0.0)
+        plane = self.rod.plane
+        return jnp.concatenate([vector_in(plane, wrench[:3]), turn_in(plane, wrench[3:])])
 
     def _pushed_at_first(self, begin: Beginning | None):
         if begin is None or begin.pushes is None:
@@ -253,6 +266,7 @@ class MovingRod(NamedTuple):
             crept=jax.lax.stop_gradient(crept),
             stage=None if progress.stage is None else progress.stage + 1,
             pushes=pushes_on(rod, self.layout, fields.y),
+            wrench=fields.y[0, -self.layout.pair :],
         )
         return Fields(fields.strain, jnp.concatenate([q, w], -1), crept), progress
 
@@ -299,6 +313,7 @@ class MovingRod(NamedTuple):
             "time_error",
             "crept",
             "pushes",
+            "wrench",
         )
         pick = lambda progress: {name: getattr(progress, name) for name in last}
         return State(memory, after._replace(**unless_failed(pick(after), pick(progress)))), errors

@@ -71,6 +71,26 @@ def test_constants_of_rubber():
     assert "material_c2" in {e.name for e in found.explanations}
 
 
+def test_of_a_rubber_its_modulus_is_fitted_unless_something_else_is_named():
+    """At small strain all constants together, in the proportion that they have."""
+    law = lambda c1, c2: replace(
+        beam(young_modulus=None, material=sr.MooneyRivlin(c1, c2)), poisson_ratio=None
+    )
+    start = law(3e4, 6e3)
+    assert choose(start, None) == ("young_modulus", "bending_damping")
+    found = calibrate(start, [release(law(4e4, 8e3))], **QUIET)
+    holds(found, {"young_modulus": 6 * 4.8e4, "bending_damping": TRUTH["bending_damping"]})
+    assert found.parameters["young_modulus"].initial == 6 * 3.6e4
+    c1, c2 = found.scene.material.constants
+    assert float(c1 / c2) == pytest.approx(5.0)
+    assert float(c1 + c2) == pytest.approx(found.parameters["young_modulus"].value / 6)
+    with pytest.raises(ValueError, match="'material_c2' one of them"):
+        choose(start, ("young_modulus", "material_c2"))
+    silicone = replace(start, material=sr.NeoHookean(2e4))
+    assert choose(silicone, None) == ("young_modulus", "bending_damping")
+    assert choose(segmented(E, E), None) == ("bending_damping",)
+
+
 def segmented(*moduli):
     parts = [
         sr.Segment(length=0.05, section=sr.Rectangle(0.03, 0.03), young_modulus=E) for E in moduli

@@ -8,9 +8,9 @@ import pytest
 
 import softrod_jax as sr
 from calibration import RecordingError
+from calibration.experiment.quantities import simulated
 from calibration.postures.data import Postures, joined, load_postures
 from calibration.postures.fitting import calibrate_postures
-from calibration.postures.quantities import simulated
 from softrod_jax.scene.inputs import Inputs
 
 GRID = sr.Collocation(intervals=4)
