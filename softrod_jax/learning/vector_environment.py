@@ -70,14 +70,15 @@ class ReachVectorEnv(VectorEnv):
         if seed is not None:
             self._pool = np.zeros((0, 3))
         fresh, n = self.task.fresh(), self.num_envs
-        self._states = jax.tree.map(lambda x: jnp.broadcast_to(x, (n, *jnp.shape(x))), fresh)
+        states = jax.tree.map(lambda x: jnp.broadcast_to(x, (n, *jnp.shape(x))), fresh)
+        self._states = states
         self._ended, self._steps = np.zeros(n, dtype=bool), np.zeros(n, dtype=int)
         self._last = -np.ones((n, *self.task.limits.shape))
         targets = (options or {}).get("targets")
         self._targets = self._draw(n) if targets is None else np.array(targets, dtype=float)
         if self._targets.shape != (n, 3) or not np.all(np.isfinite(self._targets)):
             raise ValueError(f"ReachVectorEnv.reset: targets need shape {(n, 3)}, in metres")
-        view = jax.vmap(self.task.stepper.view)(self._states)
+        view = jax.vmap(self.task.stepper.view)(states)
         observation, distance = self.task.observed(view, self._targets, self._last)
         return observation, self._info(view, distance)
 

@@ -34,7 +34,7 @@ def rod_axes(
     scene: Scene,
     shapes,
     *,
-    place=111,
+    place: int | tuple[int, int, int] = 111,
     view: tuple[float, float] = (16.0, -60.0),
 ):
     """Equal 3D axes in `figure` that hold all `shapes`, labelled in mm, or m for long rods.
