@@ -55,8 +55,8 @@ def modes_picture(
         for n, change in reversed(list(enumerate(swing))):
             slopes = np.gradient(change[first], nodes, axis=0)
             line = unit * (axis + cubic(change[first], slopes, nodes, arc))
-            strong = dict(lw=1.8, alpha=1.0) if n == 0 else dict(lw=0.7, alpha=0.45)
-            axes.plot(*line.T, color=_COLOUR, zorder=_ON_TOP, **strong)
+            width, strength = (1.8, 1.0) if n == 0 else (0.7, 0.45)
+            axes.plot(*line.T, color=_COLOUR, lw=width, alpha=strength, zorder=_ON_TOP)
         frequency, ratio = float(found.frequencies[k]), float(found.damping_ratios[k])
         axes.set_title(f"{k + 1}: {frequency:.3g} Hz, damping ratio {ratio:.2g}", fontsize=9)
     return figure

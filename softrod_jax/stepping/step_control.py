@@ -75,7 +75,7 @@ def run_within(
     )
     if _solved(last) and not agrees:
         # Solved, but never twice the same.
-        step = 0 if error is None else np.argmax(error > min(tolerance, error[-1]))
+        step = 0 if error is None else int(np.argmax(error > min(tolerance, error[-1])))
         last = eqx.tree_at(
             lambda t: (t.result, t.failed_step),
             last,
@@ -188,7 +188,7 @@ def run_checked(
         return judged(error)
     if not fixed_steps:
         return _with(found, error, method_found)
-    needed = _count(np.max(_stat(found, "substeps")))
+    needed = _count(int(np.max(_stat(found, "substeps"))))
     return judged(_apart(motion, found, scene) + error, needed_substeps=needed)
 
 
@@ -249,7 +249,7 @@ def _judged(motion, limit: float):
     too_large = _stat(motion, "time_error") > limit
     wrong = bool(too_large[-1])
     code = jnp.asarray(np.int32(RESULTS.inaccurate if wrong else RESULTS.successful))
-    step = _count(np.argmax(too_large) if wrong else -1)
+    step = _count(int(np.argmax(too_large)) if wrong else -1)
     return eqx.tree_at(lambda t: (t.result, t.failed_step), motion, (code, step))
 
 
