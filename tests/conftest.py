@@ -44,8 +44,8 @@ if "JAX_COMPILATION_CACHE_DIR" not in os.environ:
 jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.5)
 
 
-# Tests that take long are a third of all time. At each commit a third of them run, by turns.
-_TURNS = 3
+# Tests that take long are almost half of all time. At each commit a quarter of them run, by turns.
+_TURNS = 4
 
 
 def pytest_configure(config):

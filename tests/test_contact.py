@@ -175,6 +175,7 @@ def test_distances_and_their_slopes(bent):
     np.testing.assert_allclose(plane.distance(jnp.array([0.0, 0.0, 3.0])), np.sqrt(2))
 
 
+@pytest.mark.long
 def test_derivatives_and_batches():
     """Forward, reverse and central differences agree; a sample that cannot be fails alone."""
     scene = rod(

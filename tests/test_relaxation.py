@@ -342,6 +342,7 @@ def test_a_loss_factor_is_a_time_of_damping():
 # Derivatives, and what cannot be
 
 
+@pytest.mark.long
 def test_derivatives_and_batches():
     """By parts and times: forward, reverse and central differences agree; a batch is a loop."""
     scene = rod(gravity=ACROSS / 3, plane="xz")

@@ -238,6 +238,7 @@ def test_segments_of_several_laws_have_each_their_own():
 # Derivatives, batches and what cannot be
 
 
+@pytest.mark.long
 def test_derivatives_and_batches():
     """Forward, reverse and central differences agree, and a batch is a loop."""
     scene = rod(gravity=ACROSS, bending_damping=1e-6, plane="xz", **PULL)

@@ -15,10 +15,12 @@ import softrod_jax as sr
 from calibration.inference.criteria import Verdict
 from calibration.postures.fitting import PostureFit
 from calibration.report.comparison import comparison_html, comparison_json
+from calibration.report.numbers import estimate_as_json, others_json, plain
+from calibration.report.page import STYLE
 from calibration.report.provenance import provenance
 from calibration.report.tables import table
 from calibration.report.text import as_rows, others_text
-from calibration.report.writing import STYLE, estimate_as_json, others_json, plain, write_text
+from calibration.report.writing import write_text
 
 _MEASURED, _SIMULATED = "#1f77b4", "#d62728"
 _WORST = 8

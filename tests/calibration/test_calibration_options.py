@@ -12,8 +12,9 @@ import softrod_jax as sr
 from calibration import RecordingError, calibrate
 from calibration.data.windows import split
 from calibration.problem.motion import simulate_motion
+from calibration.report.numbers import as_json
 from calibration.report.spectra import amplitudes
-from calibration.report.writing import as_json, write_report
+from calibration.report.writing import write_report
 from calibration.search.checkpoint import CheckpointError
 from calibration.search.optimise import MANY, gradient_descent, levenberg_marquardt, usual
 

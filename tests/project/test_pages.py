@@ -42,6 +42,7 @@ def folder(tmp_path, monkeypatch):
     return tmp_path
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("page", RUN)
 def test_snippets_print_what_the_page_says(page, folder):
     assert follow(PAGES / page, folder) == RUN[page]

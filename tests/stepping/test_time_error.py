@@ -212,8 +212,7 @@ def checked(hanging, tip, time_error, along=lambda k: 0.0):
 
     options = dict(fixed_grid=False, fixed_steps=False, substeps=1, limit=1e-2)
     method = sr.Collocation(6)
-    rod = make_rod(scene)
-    return run_checked(run, rod, 5e-3, sr.SDIRK(), method, **options), taken
+    return run_checked(run, scene, 5e-3, sr.SDIRK(), method, **options), taken
 
 
 def test_motions_that_never_agree_are_as_wrong_as_the_best_of_them_says(hanging):

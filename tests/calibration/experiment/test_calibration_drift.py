@@ -14,7 +14,7 @@ from calibration.parameters.unknowns import choose_unknowns
 from calibration.problem.dataset import datasets
 from calibration.problem.motion import Motion, tip_at
 from calibration.problem.problem import make_problem
-from calibration.report.writing import as_json
+from calibration.report.numbers import as_json
 from softrod_jax.scene.scene import as_arrays
 
 TRUTH = {"young_modulus": 2.8e5, "bending_damping": 2e-6}

@@ -15,8 +15,8 @@ from calibration.data.quantities import quantities_in_motion
 from calibration.experiment.alignment import Alignment
 from calibration.experiment.quantities import aligned, apart, simulated, simulated_in_time
 from calibration.experiment.setup import Setup
+from calibration.report.numbers import as_json
 from calibration.report.text import summary_text
-from calibration.report.writing import as_json
 
 NAMES = ("young_modulus", "bending_damping", "density")
 KEYS = ("base_force", "middle_curvature", "middle_position", "tip_attitude")

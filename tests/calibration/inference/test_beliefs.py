@@ -9,7 +9,8 @@ from beams import FIT, TRUTH, beam, release
 
 from calibration import calibrate
 from calibration.parameters.priors import checked_pairs, contradictions, prior_rows
-from calibration.report.writing import as_json, summary, write_report
+from calibration.report.numbers import as_json
+from calibration.report.writing import summary, write_report
 
 NAMES = ("young_modulus", "density")
 OPTIONS = dict(fit=NAMES, checks=False, window=(0.0, 1.0), progress=False, **FIT)

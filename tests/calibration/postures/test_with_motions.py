@@ -12,8 +12,8 @@ from calibration import calibrate, compare, write_log
 from calibration.cli.main import main
 from calibration.parameters.laws import Model
 from calibration.postures.data import Postures
+from calibration.report.numbers import as_json
 from calibration.report.text import summary_text
-from calibration.report.writing import as_json
 from softrod_jax.scene.inputs import Inputs
 
 NAMES = ("young_modulus", "bending_damping", "density")

@@ -12,7 +12,7 @@ from calibration.parameters.unknowns import choose_unknowns
 from calibration.problem.dataset import datasets
 from calibration.problem.motion import METHOD
 from calibration.problem.resolution import Resolution, choose_resolution
-from calibration.report.writing import as_json
+from calibration.report.numbers import as_json
 
 NAMES = ("young_modulus", "bending_damping")
 

@@ -14,7 +14,8 @@ from calibration.cli.exclusive import alone_in
 from calibration.cli.main import main
 from calibration.parameters.unknowns import choose_unknowns
 from calibration.report.films import FilmError, read_motions
-from calibration.report.writing import as_json, summary, write_report
+from calibration.report.numbers import as_json
+from calibration.report.writing import summary, write_report
 from softrod_jax.scene.scene import as_arrays
 
 EVIL = "<img src=x onerror=alert(1)>"
