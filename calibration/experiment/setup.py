@@ -10,6 +10,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 import softrod_jax as sr
+from softrod_jax.rod.rotations import quaternion_exp, quaternion_product
 from softrod_jax.scene.inputs import KINDS, Inputs
 
 
@@ -74,11 +75,11 @@ class Setup(eqx.Module):
         changes = {}
         if self.gravity_tilt is not None:
             assert scene.gravity is not None, "what is tilted is there"
-            changes["gravity"] = rotated(_quaternion(self.gravity_tilt), scene.gravity)
+            changes["gravity"] = rotated(quaternion_exp(self.gravity_tilt), scene.gravity)
         if self.clamp_rotation is not None:
-            turned = _quaternion(self.clamp_rotation)
+            turned = quaternion_exp(self.clamp_rotation)
             was = scene.base_quaternion
-            changes["base_quaternion"] = turned if was is None else _product(turned, was)
+            changes["base_quaternion"] = turned if was is None else quaternion_product(turned, was)
         if self.clamp_shift is not None:
             was = scene.base_position
             changes["base_position"] = self.clamp_shift if was is None else was + self.clamp_shift
@@ -99,7 +100,7 @@ class Setup(eqx.Module):
     def seen_direction(self, a: Float[Array, "*#n 3"]) -> Float[Array, "*#n 3"]:
         """A vector of the base frame as the cameras see it."""
         rotation = self.camera_rotation
-        return a if rotation is None else rotated(_quaternion(rotation), a)
+        return a if rotation is None else rotated(quaternion_exp(rotation), a)
 
     def seen_position(self, p: Float[Array, "*#n 3"]) -> Float[Array, "*#n 3"]:
         """A place [m] as the cameras see it."""
@@ -110,7 +111,7 @@ class Setup(eqx.Module):
         """A unit quaternion as the cameras see it."""
         if self.camera_rotation is None:
             return h
-        return _product(_quaternion(self.camera_rotation), h)
+        return quaternion_product(quaternion_exp(self.camera_rotation), h)
 
     def arriving(self, inputs: Inputs) -> Inputs:
         """The inputs that reach the robot when `inputs` are commanded."""
@@ -160,16 +161,3 @@ def rotated(h: Float[Array, "*#n 4"], a: Float[Array, "*#n 3"]) -> Float[Array, 
     """`a` turned by the unit quaternion `h` (w, x, y, z)."""
     w, r = h[..., :1], h[..., 1:]
     return a + 2 * jnp.cross(r, jnp.cross(r, a) + w * a)
-
-
-def _quaternion(rotation: Float[Array, "3"]) -> Float[Array, "4"]:
-    """The unit quaternion of a rotation vector [rad] that is shorter than pi."""
-    # The square root has no derivative at 0; a nanoradian changes nothing.
-    angle = jnp.sqrt(jnp.sum(rotation**2) + 1e-18)
-    return jnp.concatenate([jnp.cos(angle / 2)[None], jnp.sin(angle / 2) / angle * rotation])
-
-
-def _product(a: Float[Array, "*#n 4"], b: Float[Array, "*#n 4"]) -> Float[Array, "*#n 4"]:
-    (v, r), (w, s) = ((x[..., :1], x[..., 1:]) for x in (a, b))
-    first = v * w - jnp.sum(r * s, axis=-1, keepdims=True)
-    return jnp.concatenate([first, v * s + w * r + jnp.cross(r, s)], axis=-1)

@@ -17,6 +17,7 @@ from calibration.experiment.setup import Setup, rotated
 from calibration.parameters.catalogue import moved, parameters_of
 from calibration.parameters.parameter import AbstractParameter
 from calibration.postures.data import NOISE, TURN, Postures, attitude_of
+from softrod_jax.rod.rotations import turn_between
 from softrod_jax.scene.inputs import Inputs
 from softrod_jax.scene.tendons import rubbing
 
@@ -232,7 +233,7 @@ def _residual(seen: Seen, target: Targets, noise: Noise, length) -> Float[Array,
     apart = jnp.where(target.has_position, apart, 0.0) / noise.positions[:, None]
     lost = jax.lax.stop_gradient(_FAILED * length) / noise.positions[:, None]
     apart = jnp.where(failed & target.has_position, lost, apart)
-    turn = jax.vmap(_turn_between)(target.quaternions, seen.quaternions)
+    turn = 2.0 * turn_between(seen.quaternions, target.quaternions)
     turn = jnp.where(target.has_attitude[:, None] & ~failed, turn, 0.0)
     others = jnp.where(failed, 0.0, seen.others - target.others) / noise.others
     others = jnp.where(failed, _FAILED_OTHERS, others)
@@ -245,13 +246,6 @@ def _with_jacobian(compared, theta):
     doubled = lambda theta: (lambda r, seen: (r, (r, seen)))(*compared(theta))
     jacobian, (residual, seen) = jax.jacfwd(doubled, has_aux=True)(theta)
     return residual, jacobian, seen
-
-
-def _turn_between(a: Float[Array, "4"], b: Float[Array, "4"]) -> Float[Array, "3"]:
-    """The small rotation vector [rad] from attitude `a` to `b`, in the base frame."""
-    w = b[0] * a[0] + jnp.dot(b[1:], a[1:])
-    r = -b[0] * a[1:] + a[0] * b[1:] - jnp.cross(b[1:], a[1:])
-    return 2.0 * jnp.where(w < 0, -1.0, 1.0) * r
 
 
 def coarse(method: sr.Collocation) -> sr.Collocation:

@@ -10,13 +10,14 @@ from jaxtyping import Array, Float, Int, Real
 
 from softrod_jax.analysis.least_effort import least_effort
 from softrod_jax.analysis.near_rest import check_smooth
-from softrod_jax.analysis.targets import Known, Problem, answered, missed, turn_between
+from softrod_jax.analysis.targets import Known, Problem, answered, missed
 from softrod_jax.bvp.collocation import Collocation
 from softrod_jax.bvp.method import AbstractMethod
 from softrod_jax.bvp.newton import NewtonOptions
 from softrod_jax.foundation.compiling import compiled, on_cpu
 from softrod_jax.foundation.precision import require_float64
 from softrod_jax.foundation.results import RESULTS, raise_unless_successful
+from softrod_jax.rod.rotations import turn_between
 from softrod_jax.scene.checks import checked_scene
 from softrod_jax.scene.inputs import KINDS, Inputs, whole_number
 from softrod_jax.scene.scene import Scene

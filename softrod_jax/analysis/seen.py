@@ -12,7 +12,7 @@ from softrod_jax.rod.constants import full_strain
 from softrod_jax.rod.given_lengths import tensions_of
 from softrod_jax.rod.markers import seen
 from softrod_jax.rod.reduction import clamp_pose, make_rod
-from softrod_jax.rod.rotations import quaternion_product, to_base
+from softrod_jax.rod.rotations import conjugate, quaternion_product, to_base
 from softrod_jax.rod.shape import Pose
 from softrod_jax.scene.planes import in_space
 from softrod_jax.scene.scene import Scene
@@ -39,7 +39,7 @@ def shape(near: NearRest, along: Guess, applied: Applied):
 def moved(pose: Pose) -> Float[Array, "6"]:
     """The position and, with the derivative only, the rotation about the base's axes [rad]."""
     h = pose.quaternion
-    back = jax.lax.stop_gradient(h * jnp.array([1.0, -1.0, -1.0, -1.0]))
+    back = jax.lax.stop_gradient(conjugate(h))
     return jnp.concatenate([pose.position, 2 * quaternion_product(h, back)[1:]])
 
 

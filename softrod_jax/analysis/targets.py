@@ -22,7 +22,7 @@ from softrod_jax.foundation.results import RESULTS
 from softrod_jax.rod.constants import full_strain
 from softrod_jax.rod.markers import seen
 from softrod_jax.rod.reduction import clamp_pose, make_rod
-from softrod_jax.rod.rotations import quaternion_product
+from softrod_jax.rod.rotations import turn_between
 from softrod_jax.rod.shape import Pose
 from softrod_jax.rod.state import layout_of
 from softrod_jax.scene.inputs import Inputs
@@ -118,12 +118,6 @@ def missed(pose: Pose, target, quaternion, length) -> Float[Array, "r"]:
     if quaternion is None:
         return r
     return jnp.concatenate([r, 2 * turn_between(pose.quaternion, quaternion)])
-
-
-def turn_between(h, target) -> Float[Array, "3"]:
-    """The vector of the quaternion from one attitude to the other, the short way."""
-    turn = quaternion_product(h, target * jnp.array([1.0, -1.0, -1.0, -1.0]))
-    return jnp.where(turn[0] < 0, -turn[1:], turn[1:])
 
 
 def answered(result):

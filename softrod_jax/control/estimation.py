@@ -22,7 +22,7 @@ from jaxtyping import Array, Float, Int, Real
 from softrod_jax.analysis.near_rest import check_smooth
 from softrod_jax.bvp.collocation import Collocation
 from softrod_jax.bvp.method import AbstractMethod
-from softrod_jax.control.low_rank import beyond, moved, truncated, updated
+from softrod_jax.control.low_rank import beyond, moved_all, truncated, updated
 from softrod_jax.foundation.compiling import compiled
 from softrod_jax.foundation.numbers import ScalarLike
 from softrod_jax.foundation.precision import require_float64
@@ -279,7 +279,7 @@ def _step(estimator: Estimator, estimate: Estimate, action: Action, measured: Po
         stepper = _stepper_with(estimator, chosen)
         end = stepper.step(_with_fields(state, as_fields(x)), action)
         pose = _poses(estimator, stepper, end)
-        return (ravel_pytree(end.memory[0])[0], moved(pose)), (end, pose)
+        return (ravel_pytree(end.memory[0])[0], moved_all(pose)), (end, pose)
 
     _, along, (end, pose) = jax.linearize(after, x, chosen, has_aux=True)
     walk = jnp.concatenate([jnp.zeros((x.size, dim)), jnp.diag(_walk(estimator))])

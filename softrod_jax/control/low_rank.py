@@ -4,7 +4,8 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from softrod_jax.rod.rotations import quaternion_product
+from softrod_jax.analysis.seen import moved
+from softrod_jax.rod.rotations import turn_between
 from softrod_jax.rod.shape import Pose
 
 
@@ -41,24 +42,17 @@ def truncated(
     return root @ vectors[:, ::-1][:, :rank]
 
 
-def moved(pose: Pose) -> Float[Array, "p"]:
-    """Positions and, with the derivative only, rotations about the base's axes, by markers."""
-    back = jax.lax.stop_gradient(_conjugate(pose.quaternion))
-    turned = 2 * quaternion_product(pose.quaternion, back)[:, 1:]
-    return jnp.concatenate([pose.position, turned], 1).ravel()
+def moved_all(poses: Pose) -> Float[Array, "p"]:
+    """As `moved`, of several markers, one after the other."""
+    return jax.vmap(moved)(poses).ravel()
 
 
-def beyond(pose: Pose, measured: Pose) -> Float[Array, "p"]:
+def beyond(poses: Pose, measured: Pose) -> Float[Array, "p"]:
     """How far, and turned by which vector [rad], what is measured is from what is expected."""
     h = measured.quaternion / jnp.linalg.norm(measured.quaternion, axis=1, keepdims=True)
-    turn = quaternion_product(h, _conjugate(pose.quaternion))
-    turn = jnp.where(turn[:, :1] < 0, -turn, turn)
-    sine = jnp.linalg.norm(turn[:, 1:], axis=1, keepdims=True)
+    turn = turn_between(h, poses.quaternion)
+    sine = jnp.linalg.norm(turn, axis=1, keepdims=True)
     small = sine < 1e-8
-    angle = 2 * jnp.arctan2(jnp.where(small, 1.0, sine), turn[:, :1])
-    vector = jnp.where(small, 2.0, angle / jnp.where(small, 1.0, sine)) * turn[:, 1:]
-    return jnp.concatenate([measured.position - pose.position, vector], 1).ravel()
-
-
-def _conjugate(h):
-    return h * jnp.array([1.0, -1.0, -1.0, -1.0])
+    angle = 2 * jnp.arcsin(jnp.minimum(jnp.where(small, 1.0, sine), 1.0))
+    vector = jnp.where(small, 2.0, angle / jnp.where(small, 1.0, sine)) * turn
+    return jnp.concatenate([measured.position - poses.position, vector], 1).ravel()

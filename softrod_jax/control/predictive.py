@@ -66,7 +66,7 @@ class Predictive(eqx.Module):
     that cannot be.
     """
 
-    locals: Local
+    models: Local
     low: Float[Array, "m"]
     high: Float[Array, "m"]
     effort: Float[Array, ""]
@@ -119,9 +119,9 @@ class Predictive(eqx.Module):
         between = polygon(steps, corners)
         how = float(dt), float(noise), float(drift)
         every = [local_model(model, list(self.outputs), how, seen, between) for model in models]
-        self.locals = jax.tree.map(lambda *x: jnp.asarray(np.stack(x)), *every)
+        self.models = jax.tree.map(lambda *x: jnp.asarray(np.stack(x)), *every)
         self.effort = jnp.asarray(effort, dtype=float)
-        self.width = jnp.asarray(spacing(np.asarray(self.locals.y0)))
+        self.width = jnp.asarray(spacing(np.asarray(self.models.y0)))
 
     def begin(
         self,
@@ -138,7 +138,7 @@ class Predictive(eqx.Module):
                 f"Predictive.begin: {u.shape} inputs and {y.shape} outputs; expected are "
                 f"{self.low.shape}, {self.inputs}, and {(len(self.outputs),)}"
             )
-        corners = self.locals.forced.shape[-1] // u.size
+        corners = self.models.forced.shape[-1] // u.size
         return Control(
             _at_rest(self, u, y), jnp.tile(u, (self.delay + 1, 1)), jnp.tile(u, (corners, 1))
         )
@@ -177,12 +177,12 @@ def _at_rest(controller: Predictive, u, measured):
             [still, measured - local.y0 - local.C[:, :n] @ still - local.D @ own]
         )
 
-    return jax.vmap(one)(controller.locals)
+    return jax.vmap(one)(controller.models)
 
 
 @compiled
 def _step(controller: Predictive, control: Control, measured, reference):
-    models, (x, queue, plan) = controller.locals, control
+    models, (x, queue, plan) = controller.models, control
     width = controller.high - controller.low
     along = lambda local, x, before, after: local.F @ x + local.G @ (0.5 * (before + after))
 

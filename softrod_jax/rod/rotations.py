@@ -88,6 +88,20 @@ def quaternion_product(a: Quaternion, b: Quaternion) -> Quaternion:
     )
 
 
+def conjugate(h: Quaternion) -> Quaternion:
+    """The rotation back, of a unit quaternion."""
+    return h * jnp.array([1.0, -1.0, -1.0, -1.0])
+
+
+def turn_between(h: Quaternion, start: Quaternion) -> Vector:
+    """The vector of the quaternion that turns `start` into `h`, the short way, in the base frame.
+
+    Of a small turn, half the rotation vector [rad].
+    """
+    turn = quaternion_product(h, conjugate(start))
+    return jnp.where(turn[..., :1] < 0, -turn[..., 1:], turn[..., 1:])
+
+
 def rotation_matrix(h: Quaternion) -> Matrix:
     """R(h), body to base; `h` need not be normalised."""
     w, x, y, z = _components(h)

@@ -15,7 +15,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
 from softrod_jax.rod.carried import Carried, Surroundings
-from softrod_jax.rod.rotations import quaternion_product
+from softrod_jax.rod.rotations import conjugate, quaternion_product
 from softrod_jax.rod.shape import ORIGIN
 from softrod_jax.scene.poses import Poses
 
@@ -41,8 +41,7 @@ class Course(NamedTuple):
         slope = (slope + t * (3 * t - 2) * self.slope_now) / dt
         h, h_t = x[..., 3:], slope[..., 3:]
         square = jnp.sum(h * h, -1, keepdims=True)
-        conjugate = h * jnp.array([1.0, -1.0, -1.0, -1.0])
-        turning = 2 * quaternion_product(conjugate, h_t)[..., 1:] / square
+        turning = 2 * quaternion_product(conjugate(h), h_t)[..., 1:] / square
         return Carried(x[..., :3], h / jnp.sqrt(square), slope[..., :3], turning)
 
 

@@ -42,7 +42,7 @@ def test_solves_what_it_was_given(n, a):
 def accuracies():
     """Of corrections by the sweeps and by LAPACK, for a scene and a step in time.
 
-    The worst of several places: rounding at a single one is a matter of luck for both.
+    At several places, (PLACES,): rounding at a single one is a matter of luck for both.
     """
     robot = as_arrays(sr.hybrid_robot(gravity=jnp.array([-9.81, 0.0, 0.0])))
 
@@ -58,7 +58,7 @@ def accuracies():
         equations = Equations(METHOD, layout, rod, history, guess.strain)
         start = equations.start(guess)
         at = lambda key: errors(equations, layout, start, key)
-        return jax.tree.map(jnp.max, jax.lax.map(at, jax.random.split(jax.random.key(0), PLACES)))
+        return jax.lax.map(at, jax.random.split(jax.random.key(0), PLACES))
 
     def errors(equations, layout, start, key):
         U, scale = start.along, equations.scale(start).along
@@ -82,4 +82,5 @@ def accuracies():
 @pytest.mark.parametrize("dt", [1e-5, 1e-3, 5e-2])
 def test_as_good_as_a_dense_solver_with_pivoting(accuracies, young_modulus, dt):
     by_sweeps, by_lapack = accuracies(young_modulus, dt)
-    assert by_sweeps < 3 * by_lapack
+    assert np.max(by_sweeps) < 3 * np.max(by_lapack)
+    assert np.median(by_sweeps / by_lapack) < 1

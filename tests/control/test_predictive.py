@@ -141,7 +141,7 @@ def test_observer_is_kalmans(models):
     """Its gain follows from Riccati's equation of the model with a disturbance."""
     model = models[0]
     controller = sr.Predictive(model, DT, LIMITS, noise=1e-3, drift=2e-2)
-    local = jax.tree.map(lambda x: np.asarray(x[0]), controller.locals)
+    local = jax.tree.map(lambda x: np.asarray(x[0]), controller.models)
     closed_loop = local.F @ (np.eye(len(local.F)) - local.gain @ local.C)
     assert np.abs(np.linalg.eigvals(closed_loop)).max() < 1
     P = local.gain @ np.diag([1e-6, 1e-6]) @ np.linalg.inv(np.eye(2) - local.C @ local.gain)
