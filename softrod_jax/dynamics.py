@@ -142,8 +142,9 @@ def simulate(
       where the scene has it, moved by its pose, which begins at position 0, quaternion 1, 0, 0, 0.
     - `steps`: how many, where there are no inputs to tell.
     - `substeps`: equal parts into which each step is divided. `None`: one, and more where the
-      tip is off by more than `max_time_error` and substeps can still be chosen, which is outside
-      of `jit`, `vmap` and `grad`: then so many that two motions agree within 0.3 of that.
+      tip is off by more than `max_time_error` or the motion breaks off, and substeps can still be
+      chosen, which is outside of `jit`, `vmap` and `grad`: then so many that two motions agree
+      within 0.3 of that.
     - `tolerance`: choose the substeps, and a finer grid along the rod if need be, so that the
       estimated error of the tip stays below this many lengths of the rod. With `SDIRK` substeps
       differ in length, as the motion asks for. What was chosen is in `stats` as "substeps" and

@@ -81,13 +81,14 @@ def _of_fit(args, directory: str) -> int:
         write_film(scene, moved, out)
     else:
         inputs = {name: values[1:] for name, values in moved.motion.inputs.items()}
-        _animate(args, scene, moved.motion, out, inputs, moved.motion.seen)
+        moves = moved.moves["contacts"]
+        _animate(args, scene, moved.motion, out, inputs, moved.motion.seen, moves)
     print(f"written to {out}")
     return 0
 
 
-def _animate(args, scene, motion, out, inputs: dict, measured) -> None:
-    """`inputs`: by kind, a row for each step."""
+def _animate(args, scene, motion, out, inputs: dict, measured, moves) -> None:
+    """`inputs`: by kind, a row for each step; `moves`: of obstacles, by name."""
     import numpy as np
 
     from softrod_jax.pictures import animate
@@ -104,6 +105,7 @@ def _animate(args, scene, motion, out, inputs: dict, measured) -> None:
         speed=args.speed or 1.0,
         fps=args.fps or 25.0,
         measured_tip=measured,
+        contacts=moves,
     )
 
 
@@ -134,10 +136,12 @@ def _of_log(args) -> int:
             motion.inputs,
             measured=seen if log.has_tip.any() else None,
             title=log.name,
+            contacts=motion.moves["contacts"],
         )
     else:
         given = motion.inputs._asdict()
         inputs = {name: values[1:] for name, values in given.items() if values is not None}
-        _animate(args, scene, motion.trajectory, out, inputs, log.tip_positions)
+        moves = motion.moves["contacts"]
+        _animate(args, scene, motion.trajectory, out, inputs, log.tip_positions, moves)
     print(f"written to {out}")
     return 0

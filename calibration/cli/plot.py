@@ -187,6 +187,7 @@ def _draw_motion(args, scene_path, log_path, out, kind) -> int:
             speed=args.speed or 1.0,
             fps=args.fps or 25.0,
             measured_tip=log.tip_positions,
+            contacts=motion.moves["contacts"],
         )
     else:
         _save(log_figure(log, scene, trajectory), out)
@@ -215,7 +216,7 @@ def moved_by_log(args, scene_path, log_path):
         _failed(f"step {step}, from {step * args.dt:g} s: {motion.reason}")
         return None
     _compare(args, log, trajectory, float(scene.length))
-    return scene, log, motion
+    return motion.scene, log, motion
 
 
 def _shown(inputs, tensions):

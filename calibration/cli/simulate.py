@@ -88,30 +88,55 @@ def _solver_options(args) -> dict:
 
 
 class Simulated(NamedTuple):
-    """Steps and inputs as of `_inputs`, and the `Trajectory`: None without an equilibrium to start
-    from.
+    """Steps, inputs and poses as of `_Driven`, and the `Trajectory`: None without an equilibrium to
+    start from.
 
-    `reason`: "successful", or why not.
+    `scene`: with its base where it is at first. `reason`: "successful", or why not.
+    """
+
+    scene: Any
+    steps: int
+    inputs: Any
+    carried: Any
+    trajectory: Any
+    reason: str
+
+    @property
+    def moves(self) -> dict:
+        """Where the base and obstacles are carried in its steps, as `simulate` is told."""
+        from calibration.data.carried import moves_of
+
+        return moves_of({name: poses[1:] for name, poses in self.carried.items()})
+
+
+class _Driven(NamedTuple):
+    """How many steps there are, and what drives the rod: inputs, (steps + 1, actuators) each, and
+    by name where the base and obstacles are carried, (steps + 1, 7).
+
+    Row 0 is at t = 0, row k at the end of step k; None where the scene has none or nothing is
+    given.
     """
 
     steps: int
     inputs: Any
-    trajectory: Any
-    reason: str
+    carried: dict
 
 
 def simulated(args, scene) -> Simulated:
     """The motion that the options of this command ask for."""
     import softrod_jax as sr
+    from calibration.data.carried import at_first
 
     options = _solver_options(args)
-    steps, inputs = _inputs(args, scene)
+    steps, inputs, carried = _driven(args, scene)
+    scene = at_first(scene, carried)
+    motion = Simulated(scene, steps, inputs, carried, None, "")
     initial = None
     if args.from_static:
         initial = sr.solve_static(scene, *_rows(inputs, 0), throw=False, **grid(args))
         if int(initial.result) != 0:
             why = f"--from-static: {reason(initial.result)}"
-            return Simulated(steps, inputs, None, why)
+            return motion._replace(reason=why)
         if not bool(initial.stats["stable"]):
             note(f"--from-static: {UNSTABLE}")
         # The motion goes on where the equilibrium was found.
@@ -120,13 +145,14 @@ def simulated(args, scene) -> Simulated:
         trajectory = sr.simulate(
             scene,
             **_rows(inputs, slice(1, None))._asdict(),
+            **motion.moves,
             steps=steps,
             initial=initial,
             throw=False,
             **options,
         )
         code = int(trajectory.result)  # waits for it
-    return Simulated(steps, inputs, trajectory, reason(code, moving=True))
+    return motion._replace(trajectory=trajectory, reason=reason(code, moving=True))
 
 
 def run(args) -> int:
@@ -156,7 +182,7 @@ def run(args) -> int:
         forces = {x: np.array(traj.contact_forces[x]) for x in obstacles}
         for values in (*tracks.values(), *forces.values()):
             values[~known] = np.nan
-        _write(args.out, scene, np.asarray(traj.ts), motion.inputs, tips, tracks, forces)
+        _write(args.out, motion, tips, tracks, forces)
     rows = [None if np.isnan(tip).any() else tip.tolist() for tip in tips]
     error = float(traj.stats["time_error"][-1])
     if succeeded and error > _LARGE_ERROR:
@@ -176,12 +202,7 @@ def run(args) -> int:
     return _report(args, motion.reason, ts, rows, steps, failed_step, error, more)
 
 
-def _inputs(args, scene) -> tuple[int, Any]:
-    """Number of steps, and the inputs, (steps + 1, actuators) each.
-
-    Row 0 is at t = 0, row k at the end of step k; None where the scene has none or nothing is
-    given.
-    """
+def _driven(args, scene) -> _Driven:
     import numpy as np
 
     from softrod_jax.scene.inputs import Inputs
@@ -193,11 +214,13 @@ def _inputs(args, scene) -> tuple[int, Any]:
             raise UsageError("--duration is needed (only a --log has one of its own)")
         steps = _whole_steps(args, args.duration)
         given = actuation(args, scene)
-        return steps, Inputs(*(None if x is None else np.tile(x, (steps + 1, 1)) for x in given))
+        constant = Inputs(*(None if x is None else np.tile(x, (steps + 1, 1)) for x in given))
+        return _Driven(steps, constant, {})
     if given_inputs(args):
         raise UsageError(
             f"--log already gives the inputs: leave {' and '.join(given_inputs(args))} out"
         )
+    from calibration.data.carried import poses_at
     from calibration.data.loading import load_recording
 
     log = load_recording(args.log, scene, mapping=args.mapping, need_tip=False)
@@ -212,7 +235,8 @@ def _inputs(args, scene) -> tuple[int, Any]:
     if ts[-1] > clock[-1] + 0.5 * args.dt:
         note(f"the log ends after {clock[-1]:g} s; its last inputs are held from there on")
     at_steps = lambda x: np.stack([np.interp(ts, clock, c) for c in x.T], axis=1)
-    return steps, Inputs(**{kind.name: at_steps(values) for kind, values in log.driven_by})
+    inputs = Inputs(**{kind.name: at_steps(values) for kind, values in log.driven_by})
+    return _Driven(steps, inputs, {k: poses_at(ts, clock, x) for k, x in log.carried.items()})
 
 
 def _whole_steps(args, duration: float) -> int:
@@ -260,13 +284,24 @@ def _rows(inputs, index):
     )
 
 
-def _write(path, scene, ts, inputs, tips, tracks, forces) -> None:
+def _write(path, motion: Simulated, tips, tracks, forces) -> None:
     """The motion with the columns of a log of this scene: actuators not used are at zero."""
+    import numpy as np
+
     from softrod_jax.scene.inputs import filled
     from softrod_jax.scene.logs import write_log
 
-    inputs = filled(scene, inputs, (len(ts),))._asdict()
-    write_log(path, ts, **inputs, tip_positions=tips, markers=tracks, contact_forces=forces)
+    ts = np.asarray(motion.trajectory.ts)
+    inputs = filled(motion.scene, motion.inputs, (len(ts),))._asdict()
+    write_log(
+        path,
+        ts,
+        **inputs,
+        tip_positions=tips,
+        markers=tracks,
+        contact_forces=forces,
+        carried=motion.carried,
+    )
 
 
 def _report(args, result, ts, tips, steps, failed_step, error, more) -> int:

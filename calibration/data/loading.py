@@ -2,12 +2,14 @@
 
 import os
 from collections.abc import Sequence
+from dataclasses import replace
 from os import PathLike
 from pathlib import Path
 
 import numpy as np
 
 from calibration.data.c3d import read_c3d
+from calibration.data.carried import standing_still
 from calibration.data.log import read_log
 from calibration.data.mapping import read_mapped
 from calibration.data.recording import Recording, RecordingError
@@ -60,11 +62,12 @@ def load_recordings(
     given = [paths] if isinstance(paths, str | PathLike) else paths
     # A number near the largest becomes infinite on the way, and is then out of reach.
     with np.errstate(over="ignore", invalid="ignore"):
-        return [
+        found = [
             recording
             for path in files_of(given)
             for recording in _load(path, scene, mapping, need_tip, c3d_options)
         ]
+    return [replace(r, notes=(*r.notes, *standing_still(scene, r))) for r in found]
 
 
 def mapping_beside(path: str | PathLike) -> Path | None:

@@ -11,6 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from calibration.data import dates, units
+from calibration.data.carried import at_first, checked_rows, pose_places
 from calibration.data.cells import CellError, NumberFormat
 from calibration.data.clocks import find_gaps
 from calibration.data.loads import without_noise_below_zero
@@ -42,18 +43,21 @@ def read_log(path: str | PathLike, scene=None, *, need_tip: bool = True) -> Reco
     time pull1_m, .. (a pull per tendon that is driven by its length). An empty cell, `nan` or `NA`
     is a missing coordinate of the tip; time and inputs must be complete. Places of
     markers may follow, NAME_x_m, NAME_y_m, NAME_z_m, and without a scene are left unread, as
-    forces of obstacles always are, NAME_fx_N, NAME_fy_N, NAME_fz_N. With a scene,
+    forces of obstacles always are, NAME_fx_N, NAME_fy_N, NAME_fz_N. Where the base and obstacles
+    are carried is anywhere after the time, base_x_m, .., base_qz and NAME_x_m, .., NAME_qz. With a
+    scene,
     the columns of `calibration.data.quantities` may be anywhere after the time, and how good they
     are; numbers may be missing there. Rows in messages are lines of the file, the header being row
     1.
     """
-    header, columns, values, lines, measured = _table(path, scene, need_tip)
+    header, columns, values, lines, measured, carried = _table(path, scene, need_tip)
+    here = scene if scene is None else at_first(scene, carried)
     _check_values(values, header, columns.tip, lines, path)
     inputs: dict[str, Any] = dict.fromkeys(columns.inputs)
     inputs |= {name: values[:, own] for name, own in columns.inputs.items() if own}
     tip, unseen = values[:, columns.tip], []
     if scene is not None and tip.shape[1]:
-        tip, unseen = at_zero(tip, always=base_is_zero(scene))
+        tip, unseen = at_zero(tip, always=base_is_zero(here))
     if need_tip and not np.any(np.isfinite(tip)):
         raise RecordingError(f"{path}: columns {', '.join(TIP_COLUMNS)}: every sample is missing")
     where = lambda i, k: f"{path}: row {lines[k]}, column tau{i + 1}_N"
@@ -70,6 +74,7 @@ def read_log(path: str | PathLike, scene=None, *, need_tip: bool = True) -> Reco
         notes=(*unseen, *clipped, *_beside(measured)),
         others=measured.others,
         noise=measured.noise,
+        carried={} if scene is None else carried,
     )
     source = Source(
         [f"row {line}" for line in lines],
@@ -101,11 +106,11 @@ def _gaps(recording: Recording) -> list[str]:
 
 
 def _table(path, scene, need_tip):
-    """Header, which of its columns are what, values (T, columns), lines of the rows, and what else
-    was measured."""
+    """Header, which of its columns are what, values (T, columns), lines of the rows, what else was
+    measured, and where things are carried."""
     lines, encoding = read_lines(path)
     reader = csv.reader(lines, strict=True)
-    header, whole, beside = None, [], set()
+    header, whole, beside, places = None, [], set(), {}
     values, numbers = array("d"), []
     known, columns = 0, _Columns({}, [])
     missing = NumberFormat()
@@ -116,6 +121,8 @@ def _table(path, scene, need_tip):
             row, line = [cell.strip() for cell in row], reader.line_num
             if header is None:
                 whole, beside = row, beside_the_tip(row, scene, path)
+                places = pose_places(row, scene, path)
+                beside = beside.union(*places.values())
                 header = [name for j, name in enumerate(row) if j not in beside]
                 known = len(header) - _unread_columns(header, scene)
                 columns = _columns(header[:known], path, scene, need_tip, encoding)
@@ -136,9 +143,15 @@ def _table(path, scene, need_tip):
     if not numbers:
         raise RecordingError(f"{path}: a header and no rows: nothing was recorded")
     table = np.array(values).reshape(len(numbers), len(whole))
-    measured = measured_beside({whole[j]: table[:, j] for j in beside}, scene, path)
+    others = beside.difference(*places.values())
+    measured = measured_beside({whole[j]: table[:, j] for j in others}, scene, path)
+    carried = {
+        name: checked_rows(name, table[:, own], numbers, path)
+        for name, own in places.items()
+        if scene is not None
+    }
     table = np.delete(table, list(beside), axis=1)
-    return header[:known], columns, table[:, :known], numbers, measured
+    return header[:known], columns, table[:, :known], numbers, measured, carried
 
 
 def _unread_columns(header: list[str], scene) -> int:

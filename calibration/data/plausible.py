@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from calibration.data.carried import BASE, at_first
 from calibration.data.frames import straight_tip
 from calibration.data.recording import Recording, RecordingError
 
@@ -55,7 +56,7 @@ def check_reach(recording: Recording, scene, source: Source) -> None:
     """
     if scene is None or not np.any(recording.has_tip):
         return
-    rod = _Rod(scene)
+    rod = _Rod(scene, recording)
     distance = rod.distance(recording.tip_positions)
     where = lambda k: f"{recording.source}: {source.labels[k]}, {source.columns}: the tip"
     if np.any(distance > rod.reach):
@@ -95,10 +96,14 @@ def check_pulls(recording: Recording, scene, remedy: str) -> None:
 
 
 class _Rod:
-    """What a recording is compared with: base (3,), straight tip (3,), length and reach [m]."""
+    """What a recording is compared with: base (3,) or, where it is carried, (T, 3), straight tip
+    (3,), length and reach [m]."""
 
-    def __init__(self, scene):
+    def __init__(self, scene, recording: Recording):
+        scene = at_first(scene, recording.carried)
         self.base = np.zeros(3) if scene.base_position is None else np.asarray(scene.base_position)
+        if BASE in recording.carried:
+            self.base = recording.carried[BASE][:, :3]
         stretch = 1.0 if scene.rest_stretch is None else np.linalg.norm(scene.rest_stretch)
         self.length = float(scene.length)
         self.reach = _LARGEST_REACH * self.length * stretch

@@ -42,6 +42,8 @@ class Recording:
       (`calibration.data.quantities`). They weigh measurements against each other.
     - `conditions`: values of parameters in which this experiment differs from the scene, by name
       (`calibration.parameters.catalogue`), such as {"payload_mass": 0.052}.
+    - `carried`: where the base and obstacles are, by name, (T, 7) each: position [m] and unit
+      quaternion (w, x, y, z) (`calibration.data.carried`).
     """
 
     times: np.ndarray
@@ -59,6 +61,7 @@ class Recording:
     placed: np.ndarray | None = None
     others: Mapping[str, np.ndarray] = field(default_factory=dict)
     noise: Mapping[str, float] = field(default_factory=dict)
+    carried: Mapping[str, np.ndarray] = field(default_factory=dict)
 
     @property
     def driven_by(self) -> list[tuple[Kind, np.ndarray]]:
@@ -68,8 +71,9 @@ class Recording:
 
     @property
     def has_inputs(self) -> bool:
-        """Whether any inputs drove it; without, it is a release."""
-        return bool(self.driven_by)
+        """Whether any inputs drove it, or its base or an obstacle was carried; without, it is a
+        release."""
+        return bool(self.driven_by or self.carried)
 
     @property
     def coordinates(self) -> np.ndarray:
@@ -109,5 +113,6 @@ class Recording:
             **{kind.name: values[keep] for kind, values in self.driven_by},
             tip_positions=self.tip_positions[keep],
             others={key: values[keep] for key, values in self.others.items()},
+            carried={name: poses[keep] for name, poses in self.carried.items()},
             gaps=tuple(g for g in self.gaps if g[0] < end and g[1] > start),
         )

@@ -100,7 +100,8 @@ def input_onset(recording: Recording) -> float:
     """The last time [s] before an input changes; infinite if none does."""
     if not recording.has_inputs:
         return np.inf
-    inputs = np.concatenate([values for _, values in recording.driven_by], axis=1)
+    given = [values for _, values in recording.driven_by] + list(recording.carried.values())
+    inputs = np.concatenate(given, axis=1)
     range_ = np.ptp(inputs, axis=0)
     changed = np.any(np.abs(inputs - inputs[0]) > 0.01 * range_, axis=1) & np.any(range_ > 0)
     return float(recording.times[np.argmax(changed) - 1]) if np.any(changed) else np.inf

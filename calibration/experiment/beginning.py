@@ -11,6 +11,7 @@ import numpy as np
 from jaxtyping import Float
 
 import softrod_jax as sr
+from calibration.data.carried import at_first
 from calibration.data.frames import straight_tip
 from calibration.data.onset import start_position, white_noise
 from calibration.data.recording import Recording
@@ -38,6 +39,7 @@ def hangs(scene: sr.Scene, recording: Recording) -> bool:
         return recording.starts_hanging
     if not recording.has_inputs or np.count_nonzero(recording.has_tip) < 3:
         return False
+    scene = at_first(scene, recording.carried)
     start, rests = start_position(recording)
     seen = recording.coordinates
     moved = np.where(seen, start - straight_tip(scene), 0.0) / float(scene.length)

@@ -37,9 +37,6 @@ class Setup(eqx.Module):
     - `camera_rotation` [rad], (3,), and `camera_shift` [m], (3,): how what is seen is turned about
       the origin and moved, by cameras whose frame is not the scene's. Unlike a clamp that is turned
       they see gravity turned, too.
-
-    Raises `ValueError` for a scene whose base or obstacles are carried: recordings do not say
-    where.
     """
 
     scene: sr.Scene
@@ -58,16 +55,6 @@ class Setup(eqx.Module):
     clamp_shift: Float[Array, "3"] | None = None
     camera_rotation: Float[Array, "3"] | None = None
     camera_shift: Float[Array, "3"] | None = None
-
-    def __check_init__(self):
-        moving = [i for i, x in enumerate(self.scene.contacts or ()) if x.moves]
-        carried = ["base.moves"] if self.scene.base_moves else []
-        carried += [f"contacts[{i}].moves" for i in moving]
-        if carried:
-            raise ValueError(
-                f"{carried[0]} = true: a fit knows nothing that is carried; leave it out where it "
-                "stands still in the recordings"
-            )
 
     def simulated_scene(self) -> sr.Scene:
         """The scene with gravity and clamp as they are in this experiment."""
@@ -96,6 +83,15 @@ class Setup(eqx.Module):
                 lambda s, name=name: getattr(s, name), scene, value, is_leaf=lambda x: x is None
             )
         return scene
+
+    def clamp_poses(self, poses: Float[Array, "rows 7"]) -> Float[Array, "rows 7"]:
+        """Where the clamp is when a recording has it in `poses`, position and quaternion each."""
+        p, h = poses[:, :3], poses[:, 3:]
+        if self.clamp_rotation is not None:
+            h = quaternion_product(quaternion_exp(self.clamp_rotation), h)
+        if self.clamp_shift is not None:
+            p = p + self.clamp_shift
+        return jnp.concatenate([p, h], axis=1)
 
     def seen_direction(self, a: Float[Array, "*#n 3"]) -> Float[Array, "*#n 3"]:
         """A vector of the base frame as the cameras see it."""

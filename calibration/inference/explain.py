@@ -212,7 +212,7 @@ def _slow_release(wider: _Wider, report: Report) -> list[Explanation]:
     problem, batch = wider.best.problem, wider.best.problem.batch
     parameters, _ = catalogue(problem.scene)
     told = _RELEASE in problem.space.parameters.names or _RELEASE in batch.conditions
-    if told or jax.tree.leaves(batch.inputs) or _RELEASE not in parameters:
+    if told or jax.tree.leaves((batch.inputs, batch.carried)) or _RELEASE not in parameters:
         return []
     many, x, _ = wider.by([_RELEASE], of_each=[_RELEASE])
     space = many.space

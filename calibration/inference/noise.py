@@ -42,7 +42,8 @@ def estimate_noise(best: Point) -> Noise:
     # A perfect fit leaves rounding errors, which are no noise of zero.
     floor = (1e-9 * float(problem.scene.length)) ** 2
     H = best.jacobian.T @ best.jacobian
-    H = H + 1e-12 * np.trace(H) * np.eye(n)
+    # Where nothing depends on the unknowns, nothing of the noise is fitted away.
+    H = H + max(1e-12 * np.trace(H), np.finfo(float).tiny) * np.eye(n)
     meat, plain, variances = np.zeros((n, n)), np.zeros((n, n)), []
     for k in range(len(used)):
         blocks = [
@@ -66,7 +67,7 @@ def estimate_noise(best: Point) -> Noise:
             variances.append(variance)
     total = int(np.sum(used))
     trace = lambda M: float(np.trace(np.linalg.solve(H, M)))
-    effective = total * min(1.0, trace(plain) / max(trace(meat), 1e-300))
+    effective = total * (min(1.0, trace(plain) / trace(meat)) if np.any(meat) else 1.0)
     return Noise(meat, float(np.mean(variances)), total, effective)
 
 

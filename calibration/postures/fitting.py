@@ -11,6 +11,7 @@ import numpy as np
 from jaxtyping import Float
 
 import softrod_jax as sr
+from calibration.data.carried import carried_in
 from calibration.data.quantities import quantities_of
 from calibration.experiment.setup import Setup
 from calibration.inference.posterior import Posterior
@@ -164,6 +165,11 @@ def _prepared(scene: sr.Scene, fit) -> tuple[Setup, tuple[str, ...]]:
     asked = as_names(fit)
     if not asked:
         raise ValueError("fit: no parameters; name at least one")
+    if carried_in(scene):
+        raise ValueError(
+            f"{carried_in(scene)[0]} is carried (moves = true), and postures do not say where; "
+            "leave moves out of the scene where it stands still"
+        )
     names = choose(scene, asked)
     return prepared(scene, names), names
 

@@ -14,6 +14,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 import softrod_jax as sr
+from calibration.data.carried import BASE, begins_there, carried_in, poses_at
 from calibration.data.quantities import NOISE, numbers_of, quantities_in_motion, unit_noise
 from calibration.data.recording import RecordingError
 from calibration.data.selection import kept
@@ -44,6 +45,8 @@ class Batch(eqx.Module):
     - `free_frame`: the recording does not know where the clamp is, nor its axes quite.
     - `ramps`: for each channel that may drift what part of each of its windows is over, at
       `times`, and for the inputs at their rows: (recordings, samples or rows, windows).
+    - `carried`: where the base and obstacles are at the start and at the ends of steps, by name,
+      (recordings, steps + 1, 7), of those of which any recording says it.
     - `conditions`: values in which recordings differ from the setup, by name, (recordings,).
     """
 
@@ -58,6 +61,7 @@ class Batch(eqx.Module):
     hanging: Bool[Array, "recordings"]
     free_frame: Bool[Array, "recordings"]
     ramps: dict[str, Float[Array, "recordings _ windows"]]
+    carried: dict[str, Float[Array, "recordings rows 7"]]
     conditions: dict[str, Float[Array, "recordings"]]
     steps: int = eqx.field(static=True)
     any_hanging: bool = eqx.field(static=True)
@@ -104,6 +108,7 @@ def make_batch(
         hanging=jnp.array(hanging),
         free_frame=jnp.array([not r.origin_known for r in data.recordings]),
         ramps=_ramps(data, clocks, windows, steps, samples),
+        carried=_carried(scene, data.recordings, clocks, steps, like),
         conditions={
             name: jnp.array([float(r.conditions.get(name, usual)) for r in data.recordings])
             for name, usual in sorted(data.conditions.items())
@@ -209,6 +214,41 @@ def _check_inputs(scene, recording):
                 f"{where}: {inputs.shape[1]} columns of {kind.name}, and the scene has {count} "
                 f"{kind.of(scene)}; one column each is needed"
             )
+    for name, poses in recording.carried.items():
+        if name not in carried_in(scene):
+            raise RecordingError(
+                f"{where}: it says where {name!r} is carried, and the scene has "
+                f"{', '.join(carried_in(scene)) or 'nothing'} with moves = true"
+            )
+        if not begins_there(name, poses):
+            raise RecordingError(
+                f"{where}: {name} begins at {poses[0].tolist()}; an obstacle begins where the "
+                "scene has it, in the pose 0, 0, 0, 1, 0, 0, 0"
+            )
+
+
+def _carried(scene, recordings, clocks, steps, like) -> dict[str, Float[Array, "_ _ 7"]]:
+    """See `Batch.carried`. What one recording says nothing of stands still in it."""
+    said = {name for r in recordings for name in r.carried} | set(like.carried if like else ())
+    found = {}
+    for name in sorted(said):
+        rows = [_stands(scene, name, steps)] * len(recordings)
+        for i, (r, c) in enumerate(zip(recordings, clocks, strict=True)):
+            if name in r.carried:
+                at = r.times[0] + c.dt * np.arange(steps + 1)
+                rows[i] = poses_at(at, r.times, r.carried[name])
+        found[name] = jnp.array(np.stack(rows))
+    return found
+
+
+def _stands(scene, name: str, steps: int) -> np.ndarray:
+    """The pose of what stands still, (steps + 1, 7)."""
+    pose = np.array([0.0, 0, 0, 1, 0, 0, 0])
+    if name == BASE and scene.base_position is not None:
+        pose[:3] = np.asarray(scene.base_position)
+    if name == BASE and scene.base_quaternion is not None:
+        pose[3:] = np.asarray(scene.base_quaternion)
+    return np.tile(pose, (steps + 1, 1))
 
 
 def _inputs(scene, recordings, clocks, steps) -> Inputs:

@@ -9,6 +9,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
 import softrod_jax as sr
+from calibration.data.carried import BASE, at_first, moves_of
 from calibration.experiment.quantities import simulated_in_time
 from calibration.experiment.release import with_supporting_hand
 from calibration.experiment.setup import Setup, rotated
@@ -45,6 +46,7 @@ class Motion(eqx.Module):
 
 def simulate_motion(setup: Setup, batch: Batch, scheme, method) -> Motion:
     """The motion of one recording of the batch (its arrays without the leading axis)."""
+    setup, poses = _carried(setup, batch)
     scene = setup.simulated_scene()
     inputs = setup.arriving_in_time(batch.inputs, batch.dt)
     initial, start_result = None, jnp.zeros((), jnp.int32)
@@ -67,6 +69,7 @@ def simulate_motion(setup: Setup, batch: Batch, scheme, method) -> Motion:
         scene,
         batch.dt,
         *inputs,
+        **moves_of(poses),
         steps=batch.steps,
         initial=initial,
         scheme=scheme,
@@ -96,6 +99,15 @@ def simulate_motion(setup: Setup, batch: Batch, scheme, method) -> Motion:
         jnp.concatenate(others, axis=1) if others else None,
         trajectory.arc_lengths,
     )
+
+
+def _carried(setup: Setup, batch: Batch):
+    """The setup with its base where it is at first, and the poses at the ends of steps, by name."""
+    poses = dict(batch.carried)
+    if BASE in poses:
+        setup = eqx.tree_at(lambda s: s.scene, setup, at_first(setup.scene, poses))
+        poses[BASE] = setup.clamp_poses(poses[BASE])
+    return setup, {name: rows[1:] for name, rows in poses.items()}
 
 
 def driven(batch: Batch, drifted: Float[Array, "windows"]) -> Batch:

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 
 import softrod_jax as sr
+from calibration.data.carried import moves_of
 from calibration.report.results import Fit, RodMotion
 from softrod_jax.foundation.whole_files import whole_file
 from softrod_jax.pictures import film
@@ -16,6 +17,7 @@ from softrod_jax.scene.inputs import KINDS, Inputs
 MOTIONS = "motions.npz"
 # Files do not grow without end: so many moments of each motion, and pages, at most.
 _MOMENTS, _PAGES = 600, 12
+_CARRIED = "_carried_"
 _ARRAYS = ("ts", "positions", "quaternions", "strains", "arc_lengths", "seen_times", "seen")
 
 
@@ -38,6 +40,11 @@ class Filmed:
     @property
     def inputs(self) -> Inputs:
         return Inputs(**self.motion.inputs)
+
+    @property
+    def moves(self) -> dict:
+        """Where the base and obstacles are carried in its steps, as `simulate` is told."""
+        return moves_of({name: poses[1:] for name, poses in self.motion.carried.items()})
 
 
 def filmed(fit: Fit) -> list[Filmed]:
@@ -71,7 +78,15 @@ def write_film(scene: sr.Scene, moved: Filmed, path: Path) -> Path:
     """The page of one motion."""
     motion = moved.motion
     measured = {"measured tip": (motion.seen_times, motion.seen)}
-    return film(scene, motion, path, moved.inputs, measured=measured, title=moved.title)
+    return film(
+        scene,
+        motion,
+        path,
+        moved.inputs,
+        measured=measured,
+        title=moved.title,
+        contacts=moved.moves["contacts"],
+    )
 
 
 def write_motions(motions: list[Filmed], path: Path) -> None:
@@ -83,6 +98,7 @@ def write_motions(motions: list[Filmed], path: Path) -> None:
     for k, moved in enumerate(motions):
         arrays |= {f"{k}_{name}": getattr(moved.motion, name) for name in _ARRAYS}
         arrays |= {f"{k}_{name}": values for name, values in moved.motion.inputs.items()}
+        arrays |= {f"{k}{_CARRIED}{name}": x for name, x in moved.motion.carried.items()}
     with whole_file(path, "wb") as file:
         np.savez_compressed(file, allow_pickle=False, **arrays)
 
@@ -117,6 +133,11 @@ def _motion(arrays, k: int) -> RodMotion:
     return RodMotion(
         **{name: arrays[f"{k}_{name}"] for name in _ARRAYS},
         inputs={name: arrays[f"{k}_{name}"] for name in kinds},
+        carried={
+            name.removeprefix(f"{k}{_CARRIED}"): values
+            for name, values in arrays.items()
+            if name.startswith(f"{k}{_CARRIED}")
+        },
     )
 
 
@@ -132,4 +153,5 @@ def _thinned(motion: RodMotion) -> RodMotion:
         seen_times=motion.seen_times,
         seen=motion.seen,
         inputs={name: values[every] for name, values in motion.inputs.items()},
+        carried={name: poses[every] for name, poses in motion.carried.items()},
     )

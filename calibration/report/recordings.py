@@ -7,6 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
+from calibration.data.carried import poses_at
 from calibration.data.quantities import TURN, numbers_of, quantities_in_motion
 from calibration.data.selection import kept
 from calibration.experiment.beginning import beginning
@@ -93,8 +94,17 @@ def recording_fit(
             # Where the simulated tip is, less what the recording's frame shows between the two.
             seen=seen_tip - residuals,
             inputs=_inputs(recording, clock.zero + step * rows),
+            carried=_carried(problem.batch, recording, k, step * rows),
         ),
     )
+
+
+def _carried(batch, recording, k: int, ts) -> dict[str, np.ndarray]:
+    """Where the base and obstacles are at `ts` [s] of the simulation, by name, (times, 7)."""
+    still = {name: np.tile(np.asarray(x)[k, 0], (len(ts), 1)) for name, x in batch.carried.items()}
+    at = recording.times[0] + ts
+    said = recording.carried.items()
+    return still | {name: poses_at(at, recording.times, poses) for name, poses in said}
 
 
 def _others(best: Point, k: int, recording, samples: int) -> dict[str, Compared]:

@@ -76,6 +76,7 @@ class RodMotion:
     - `seen_times` [s], (n,), on the same clock, and `seen` [m], (n, 3): the measured tip in the
       scene's frame, NaN where a coordinate is missing.
     - `inputs`: by the name of their kind, (rows, actuators), as recorded.
+    - `carried`: by name, (rows, 7), where the base and obstacles are, as recorded.
     """
 
     ts: np.ndarray
@@ -86,6 +87,7 @@ class RodMotion:
     seen_times: np.ndarray
     seen: np.ndarray
     inputs: dict[str, np.ndarray]
+    carried: dict[str, np.ndarray] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, eq=False)

@@ -18,6 +18,12 @@ def force_columns(contact: str) -> list[str]:
     return [f"{contact}_f{axis}_N" for axis in "xyz"]
 
 
+def pose_columns(name: str) -> list[str]:
+    """The columns of where the base ("base") or the obstacle of this name is carried: position and
+    quaternion (w, x, y, z)."""
+    return [f"{name}_{axis}_m" for axis in "xyz"] + [f"{name}_q{axis}" for axis in "wxyz"]
+
+
 def write_log(
     path: str | PathLike,
     times,
@@ -27,13 +33,15 @@ def write_log(
     markers: dict | None = None,
     pulls=None,
     contact_forces: dict | None = None,
+    carried: dict | None = None,
 ) -> None:
     """Write a CSV log that `calibration.load_recording` reads back bit by bit.
 
     `times` [s] (T,), `tensions` [N] (T, tendons driven by tension), `pressures` [Pa] (T, chambers),
     `pulls` [m] (T, tendons driven by length) and `tip_positions` [m] (T, 3), NaN where missing;
     columns of what is `None` are left out. `markers` [m] and `contact_forces` [N]: by name, (T, 3)
-    each, the columns `force_columns` of them.
+    each, the columns `force_columns` of them. `carried`: where the base and obstacles are, by name,
+    (T, 7) each, position [m] and quaternion (w, x, y, z), in the columns `pose_columns`.
     Raises `OSError` if the file cannot be written, which then stays as it was.
     """
     header, columns = ["t_s"], [np.reshape(times, (-1, 1))]
@@ -44,6 +52,9 @@ def write_log(
     if tip_positions is not None:
         header += TIP_COLUMNS
         columns.append(tip_positions)
+    for name, poses in (carried or {}).items():
+        header += pose_columns(name)
+        columns.append(poses)
     for name, positions in (markers or {}).items():
         header += [f"{name}_{axis}_m" for axis in "xyz"]
         columns.append(positions)

@@ -1,13 +1,14 @@
 """How short steps in time, and how fine a grid along the rod, a given accuracy needs.
 
-Where no accuracy is asked for, a motion is solved once, and again only if its own estimates say
-that it may be wrong by much. Where one is, a motion is solved twice, the second time with more
-care in time, and on a finer grid where the estimate along the rod asks for it; their difference is
-taken for the error. That holds for stiff,
-damped and oscillating rods alike, and sees both kinds of error at once. It fails only if both
-motions miss an oscillation that is faster than their steps, and lasts.
+Where no accuracy is asked for, a motion is solved once, and again only if it breaks off or its own
+estimates say that it may be wrong by much. Where one is, a motion is solved twice, the second time
+with more care in time, and on a finer grid where the estimate along the rod asks for it; their
+difference is taken for the error. That holds for stiff, damped and oscillating rods alike, and sees
+both kinds of error at once. It fails only if both motions miss an oscillation that is faster than
+their steps, and lasts.
 """
 
+import functools
 import itertools
 import math
 from collections.abc import Callable
@@ -43,8 +44,9 @@ _KEPT, _ROUGH = 2e-3, 1e-4
 _DOUBTFUL, _TIMES, _CONFIRMS = 0.4, 4, 0.3
 # Of two motions, the one with this many times as many substeps may confirm the other.
 _MORE = 1.25
-# Motions with more and more care at most, where no accuracy is asked for.
-_TRIES = 3
+# Motions with more and more care at most, where no accuracy is asked for; and where the first one
+# broke off.
+_TRIES, _RESCUES = 3, 5
 # A finer grid is of no use where it does not lower that estimate by this: fronts are rough on any.
 _SMOOTHER = 0.25
 # Where the search for a grid of a motion ends.
@@ -74,13 +76,7 @@ def run_within(
         run, scene, run(care, method), care, method, fixed_grid, tolerance
     )
     if _solved(last) and not agrees:
-        # Solved, but never twice the same.
-        step = 0 if error is None else int(np.argmax(error > min(tolerance, error[-1])))
-        last = eqx.tree_at(
-            lambda t: (t.result, t.failed_step),
-            last,
-            (jnp.asarray(np.int32(RESULTS.inaccurate)), _count(step)),
-        )
+        last = _never_twice(last, error, tolerance)
     return _with(last, error, method)
 
 
@@ -148,6 +144,13 @@ def run_checked(
         motion, method = _smoother(once, motion, method)
     estimate = float(_stat(motion, "time_error")[-1])
     moving = int(motion.result) in (RESULTS.successful, RESULTS.inaccurate)
+    careful = functools.partial(_first_care, scene, dt, scheme, _TIMES * substeps, _KEPT)
+    more = lambda fine, care, tries: _with_more_care(
+        unjudged, scene, fine, care, method, fixed_grid, *_shown_by(limit), tries
+    )
+    if not (moving or fixed_steps) and int(motion.result) in _CURABLE:
+        care = careful()
+        return _rescued(motion, method, *more(unjudged(care, method), care, _RESCUES), limit)
     if not (estimate > _DOUBTFUL * limit and moving and _is_smooth(motion, method)):
         return _with(motion, None, method)
     least = np.zeros_like(_stat(motion, "time_error"))
@@ -158,25 +161,14 @@ def run_checked(
             if least[-1] <= _CONFIRMS * limit:
                 return _with(motion, None, method)
     judged = lambda error, **more: _judged(_with(motion, error, method, **more), limit)
-    care = _first_care(scene, dt, scheme, _TIMES * substeps, _KEPT)
+    care = careful()
     fine = unjudged(care, method)
     if _solved(fine):
         error = np.maximum(_apart(motion, fine, scene) + _stat(fine, "time_error"), least)
         if error[-1] <= limit:
             return judged(error)
     # Short steps show waves for which the grid of long ones is too coarse.
-    found, error, method_found, agrees = _with_more_care(
-        unjudged,
-        scene,
-        fine,
-        care,
-        method,
-        fixed_grid,
-        _KEPT,
-        enough=_CONFIRMS * limit,
-        rough=_ROUGH,
-        tries=_TRIES,
-    )
+    found, error, method_found, agrees = more(fine, care, _TRIES)
     if not agrees:
         if not _solved(fine):
             return _with(motion, None, method)  # no other tells more than the estimate does
@@ -190,6 +182,28 @@ def run_checked(
         return _with(found, error, method_found)
     needed = _count(int(np.max(_stat(found, "substeps"))))
     return judged(_apart(motion, found, scene) + error, needed_substeps=needed)
+
+
+def _shown_by(limit: float):
+    """Where no accuracy is asked for: the error that is aimed at, what two motions may differ by,
+    and the estimate along the rod from which on a finer grid is taken."""
+    return _KEPT, _CONFIRMS * limit, _ROUGH
+
+
+def _rescued(motion, method, found, error, method_found, agrees, limit):
+    """What becomes of a motion that broke off: the one with more care, if there is one."""
+    if agrees:
+        return _with(found, error, method_found)
+    if not _solved(found):
+        return _with(motion, None, method)
+    return _with(_never_twice(found, error, limit), error, method_found)
+
+
+def _never_twice(motion, error, limit: float):
+    """A motion that is solved, but never twice the same, with the code that says so."""
+    step = 0 if error is None else int(np.argmax(error > min(limit, error[-1])))
+    code = jnp.asarray(np.int32(RESULTS.inaccurate))
+    return eqx.tree_at(lambda t: (t.result, t.failed_step), motion, (code, _count(step)))
 
 
 def _solved(motion) -> bool:

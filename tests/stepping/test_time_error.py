@@ -193,7 +193,9 @@ def hanging():
     return scene, sr.simulate(scene, 5e-3, steps=3, method=sr.Collocation(6))
 
 
-def checked(hanging, tip, time_error, along=lambda k: 0.0):
+def checked(
+    hanging, tip, time_error, along=lambda k: 0.0, breaks=lambda k: False, fixed_steps=False
+):
     """What `run_checked` makes of motions whose k-th has these numbers, and the care of each."""
     (scene, motion), taken = hanging, []
 
@@ -203,6 +205,7 @@ def checked(hanging, tip, time_error, along=lambda k: 0.0):
         same = jnp.ones(3)
         stats = {"time_error": time_error(k) * same, "error": along(k) * same}
         code = sr.RESULTS.inaccurate if time_error(k) > limit else sr.RESULTS.successful
+        code = sr.RESULTS.diverged if breaks(k) else code
         return dataclasses.replace(
             motion,
             tip_positions=motion.tip_positions.at[1:, 0].set(tip(k) * scene.length),
@@ -210,7 +213,7 @@ def checked(hanging, tip, time_error, along=lambda k: 0.0):
             stats=motion.stats | stats | {"substeps": jnp.full(3, 2**k)},
         )
 
-    options = dict(fixed_grid=False, fixed_steps=False, substeps=1, limit=1e-2)
+    options = dict(fixed_grid=False, fixed_steps=fixed_steps, substeps=1, limit=1e-2)
     method = sr.Collocation(6)
     return run_checked(run, scene, 5e-3, sr.SDIRK(), method, **options), taken
 
@@ -237,6 +240,22 @@ def test_more_care_means_shorter_substeps_and_a_grid_for_what_they_show(hanging)
     assert all(b.limit < a.limit and b.longest < a.longest for a, b in itertools.pairwise(cares))
     assert [method.intervals for _, method in taken] == [6, 6, 12, 12]
     assert motion.result == sr.RESULTS.successful and motion.stats["intervals"] == 12
+
+
+def test_a_motion_that_breaks_off_is_tried_with_more_care(hanging):
+    """Twice: the first tries break off, too, and the last two agree, or do not."""
+    numbers = dict(time_error=lambda k: 1e-3, breaks=lambda k: k < 2)
+    motion, taken = checked(hanging, tip=lambda k: 0.1 + 1e-3 * (k == 2), **numbers)
+    assert len(taken) == 4 and motion.result == sr.RESULTS.successful
+    np.testing.assert_allclose(motion.stats["time_error"], 1e-3, rtol=1e-6)
+    assert all(b.longest < a.longest for (a, _), (b, _) in itertools.pairwise(taken[1:]))
+    # The grid may be to blame, too.
+    assert [method.intervals for _, method in taken] == [6, 6, 12, 12]
+    motion, taken = checked(hanging, tip=lambda k: 0.1 * k, **numbers)
+    assert len(taken) == 6 and motion.result == sr.RESULTS.inaccurate
+    np.testing.assert_allclose(motion.stats["time_error"], 0.1, rtol=1e-6)
+    motion, taken = checked(hanging, tip=lambda k: 0.1, fixed_steps=True, **numbers)
+    assert len(taken) == 1 and motion.result == sr.RESULTS.diverged
 
 
 def test_errors_grow_under_a_moment_that_makes_the_rod_flutter():
