@@ -25,6 +25,7 @@ from calibration.cli import (
 )
 from calibration.cli.common import UsageError
 from calibration.cli.order import positions_first
+from calibration.cli.verbosity import VERBOSE, add_verbose, shown
 
 COMMANDS = {
     "init": init,
@@ -64,12 +65,14 @@ def main(argv: list[str] | None = None) -> int:
         if not words:
             parser.print_help()
             return 0
-        if words[0] in commands:
-            command = commands[words[0]]
-            args = command.parse_args(positions_first(command, words[1:]))
+        name = next((word for word in words if word not in VERBOSE), None)
+        if name in commands:
+            words.remove(name)
+            args = commands[name].parse_args(positions_first(commands[name], words))
         else:
             args = parser.parse_args(words)
-        status = args.run(args)
+        with shown(getattr(args, "verbose", 0)):
+            status = args.run(args)
         sys.stdout.flush()
         return status
     except BrokenPipeError:
@@ -110,6 +113,7 @@ def _parsers() -> tuple[argparse.ArgumentParser, dict[str, argparse.ArgumentPars
         epilog="`softrod COMMAND --help` describes one command.",
     )
     parser.add_argument("--version", action=_Version, nargs=0, help="print the version")
+    add_verbose(parser)
     found = {}
     commands = parser.add_subparsers(title="commands", metavar="COMMAND", required=True)
     for name, command in COMMANDS.items():
@@ -121,6 +125,7 @@ def _parsers() -> tuple[argparse.ArgumentParser, dict[str, argparse.ArgumentPars
             formatter_class=argparse.RawDescriptionHelpFormatter,
         )
         command.add_arguments(sub)
+        add_verbose(sub)
         sub.set_defaults(run=command.run)
         found[name] = sub
     return parser, found

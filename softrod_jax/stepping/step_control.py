@@ -9,6 +9,7 @@ motions miss an oscillation that is faster than their steps, and lasts.
 """
 
 import itertools
+import logging
 import math
 from collections.abc import Callable
 
@@ -23,6 +24,8 @@ from softrod_jax.rod.reduction import make_rod
 from softrod_jax.scene.scene import Scene
 from softrod_jax.stepping.scheme import AbstractTimeScheme
 from softrod_jax.stepping.substeps import MOST_SUBSTEPS, LocalError
+
+_LOG = logging.getLogger(__name__)
 
 # The limit of the local error in the first try, in tolerances, and how strict it may become. The
 # errors of many steps add up, so that it starts below one.
@@ -70,8 +73,10 @@ def run_within(
     `inaccurate` where no care that is offered is enough.
     """
     care = _first_care(scene, dt, scheme, substeps, tolerance)
+    first = run(care, method)
+    _told("at first", first, method)
     last, error, method, agrees = _with_more_care(
-        run, scene, run(care, method), care, method, fixed_grid, tolerance
+        run, scene, first, care, method, fixed_grid, tolerance
     )
     if _solved(last) and not agrees:
         # Solved, but never twice the same.
@@ -107,6 +112,7 @@ def _with_more_care(
         # Where the grid was to blame, too, stricter steps than these may be for nothing.
         care = _more_care(care, excess if method == before else 1.0)
         code, last, excess = int(last.result), run(care, method), 1.0
+        _told("with more care", last, method)
         if not _solved(last):
             if int(last.result) == code and code not in _CURABLE:
                 break  # twice the same answer: there is none
@@ -144,6 +150,7 @@ def run_checked(
     once = lambda method: run(_count(substeps), method, _number(limit))
     unjudged = lambda care, method: run(care, method, _number(jnp.inf))
     motion = once(method)
+    _told("once", motion, method)
     if not fixed_grid:
         motion, method = _smoother(once, motion, method)
     estimate = float(_stat(motion, "time_error")[-1])
@@ -158,8 +165,14 @@ def run_checked(
             if least[-1] <= _CONFIRMS * limit:
                 return _with(motion, None, method)
     judged = lambda error, **more: _judged(_with(motion, error, method, **more), limit)
+    _LOG.info(
+        "the steps in time may leave an error of %.2g lengths (%.2g allowed): another motion tells",
+        estimate,
+        limit,
+    )
     care = _first_care(scene, dt, scheme, _TIMES * substeps, _KEPT)
     fine = unjudged(care, method)
+    _told("in substeps that errors choose", fine, method)
     if _solved(fine):
         error = np.maximum(_apart(motion, fine, scene) + _stat(fine, "time_error"), least)
         if error[-1] <= limit:
@@ -190,6 +203,19 @@ def run_checked(
         return _with(found, error, method_found)
     needed = _count(int(np.max(_stat(found, "substeps"))))
     return judged(_apart(motion, found, scene) + error, needed_substeps=needed)
+
+
+def _told(how: str, motion, method: AbstractMethod) -> None:
+    """A motion that was solved, for the log."""
+    if not _LOG.isEnabledFor(logging.INFO):
+        return
+    _LOG.info(
+        "the motion %s: %s, %d substeps, %d intervals",
+        how,
+        RESULTS(int(motion.result)).name,
+        np.sum(_stat(motion, "substeps")),
+        method.intervals,
+    )
 
 
 def _solved(motion) -> bool:
@@ -236,6 +262,7 @@ def _smoother(run: Callable, motion, method: AbstractMethod):
         if 2 * method.intervals > _MOST_INTERVALS:
             break
         finer = run(method.finer())
+        _told(f"on a finer grid, for an error of {roughness(motion):.2g}", finer, method.finer())
         if int(finer.result) not in curable:
             break
         coarse, motion, method = motion, finer, method.finer()
