@@ -12,6 +12,7 @@ import sys
 
 from calibration.cli import (
     calibrate,
+    completion,
     design,
     doctor,
     film,
@@ -24,7 +25,7 @@ from calibration.cli import (
     view,
 )
 from calibration.cli.common import UsageError
-from calibration.cli.order import positions_first
+from calibration.cli.order import like, positions_first
 from calibration.cli.verbosity import VERBOSE, add_verbose, shown
 
 COMMANDS = {
@@ -39,6 +40,7 @@ COMMANDS = {
     "calibrate": calibrate,
     "design": design,
     "doctor": doctor,
+    "completion": completion,
 }
 
 
@@ -62,6 +64,7 @@ def main(argv: list[str] | None = None) -> int:
     try:
         words = sys.argv[1:] if argv is None else list(argv)
         parser, commands = _parsers()
+        completion.complete(parser, commands)
         if not words:
             parser.print_help()
             return 0
@@ -69,8 +72,11 @@ def main(argv: list[str] | None = None) -> int:
         if name in commands:
             words.remove(name)
             args = commands[name].parse_args(positions_first(commands[name], words))
-        else:
+        elif name is None or name.startswith("-"):
             args = parser.parse_args(words)
+        else:
+            hint, all_of = like(name, commands), ", ".join(commands)
+            raise UsageError(f"no command {name!r}{hint} (the commands: {all_of})")
         with shown(getattr(args, "verbose", 0)):
             status = args.run(args)
         sys.stdout.flush()
