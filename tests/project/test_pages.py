@@ -87,6 +87,9 @@ def test_the_scene_file(folder):
         assert float(getattr(scene, part)) == float(getattr(paper, part))
     np.testing.assert_allclose(scene.tendons.offsets, paper.tendons.offsets, atol=1e-7)
     np.testing.assert_allclose(scene.chambers.areas, paper.chambers.areas, rtol=1e-7)
+    own = sr.load_scene("with-units.toml")
+    for part in ("length", "young_modulus", "density"):
+        assert float(getattr(own, part)) == pytest.approx(float(getattr(paper, part)), rel=1e-15)
 
 
 def test_the_result_codes():
