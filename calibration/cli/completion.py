@@ -18,10 +18,10 @@ def add_arguments(parser) -> None:
 
 def run(args) -> int:
     try:
-        import argcomplete
+        from argcomplete.shell_integration import shellcode
     except ImportError as e:
         raise UsageError(f"{e}: pip install 'softrod_jax[calibration]'") from None
-    print(argcomplete.shellcode(["softrod"], shell=args.shell))
+    print(shellcode(["softrod"], shell=args.shell))
     return 0
 
 
