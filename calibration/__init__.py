@@ -3,6 +3,7 @@
 Names are imported when first used, so that `softrod --help` does not wait for JAX.
 """
 
+import logging
 from importlib import import_module
 from typing import TYPE_CHECKING
 
@@ -22,6 +23,8 @@ if TYPE_CHECKING:
     from calibration.report.writing import write_report as write_report
     from calibration.search.minimum import CalibrationError as CalibrationError
     from softrod_jax.scene.logs import write_log as write_log
+
+logging.getLogger(__name__).addHandler(logging.NullHandler())  # silent until it is asked for
 
 _HOME = {
     "Recording": "calibration.data.recording",

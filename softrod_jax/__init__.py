@@ -1,5 +1,7 @@
 """softrod_jax: a differentiable dynamic Cosserat rod of soft robots."""
 
+import logging as _logging
+
 from softrod_jax.analysis.inverse import InverseSolution as InverseSolution
 from softrod_jax.analysis.inverse import inverse as inverse
 from softrod_jax.analysis.linear import LinearModel as LinearModel
@@ -66,3 +68,5 @@ from softrod_jax.stepping.sdirk import SDIRK as SDIRK
 from softrod_jax.viewing import view as view
 
 __version__ = "0.1.0"  # the one place: pyproject.toml reads it
+
+_logging.getLogger(__name__).addHandler(_logging.NullHandler())  # silent until it is asked for

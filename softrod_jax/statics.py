@@ -1,5 +1,6 @@
 """Static equilibrium of a scene under constant actuation."""
 
+import logging
 from collections.abc import Sequence
 
 import equinox as eqx
@@ -50,6 +51,8 @@ from softrod_jax.scene.inputs import (
 from softrod_jax.scene.planes import in_space
 from softrod_jax.scene.scene import Scene
 from softrod_jax.scene.tendons import rubbing
+
+_LOG = logging.getLogger(__name__)
 
 
 class StaticSolution(eqx.Module):
@@ -177,6 +180,14 @@ def solve_static(
     method = (Collocation() if method is None else method).fitted(given)
     solve = lambda method: _solve(*arguments, method, newton, traced)
     solution = solve(method) if tolerance is None else solve_within(solve, method, tolerance)
+    if not traced and _LOG.isEnabledFor(logging.DEBUG):
+        _LOG.debug(
+            "equilibrium: %s, %d iterations, %d load steps, %d intervals along the rod",
+            RESULTS(int(solution.result)).name,
+            solution.stats["iterations"],
+            solution.stats["load_steps"],
+            solution.method.intervals,
+        )
     if throw:
         solution = raise_unless_successful(solution.result, solution, "solve_static")
     return solution
@@ -220,7 +231,12 @@ def _solve(scene, inputs, past, directions, method, options, traced):
     problem = scene, inputs, past, directions
     solution = solve_from(*problem, method, options)
     if not traced and int(solution.result) in (RESULTS.diverged, RESULTS.max_iterations):
-        return _relaxed(*problem, method, options)
+        _LOG.info(
+            "the path of equilibria under rising loads ends; a damped motion goes on from there"
+        )
+        solution = _relaxed(*problem, method, options)
+        said = RESULTS(int(solution.result)).name, int(solution.stats["transient_steps"])
+        _LOG.info("the damped motion: %s after %d steps", *said)
     return solution
 
 

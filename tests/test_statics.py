@@ -160,9 +160,10 @@ def upright(**loads):
     )
 
 
-def test_a_nearly_perfect_column_buckles():
+def test_a_nearly_perfect_column_buckles(caplog):
     """rho A g L^3 / EI = 23 is above 7.84: the path of equilibria is not the straight one."""
     push = lambda force: sr.TipLoad(force=jnp.array([force, 0.0, 0.0]))
+    caplog.set_level("INFO", "softrod_jax")
     perfect = sr.solve_static(upright())
     assert not perfect.stats["stable"]
     forces = 1e-4, 1e-6, 1e-7
@@ -170,6 +171,8 @@ def test_a_nearly_perfect_column_buckles():
     # What 1e-7 N adds against turning about the vertical is below the rounding of the sweep.
     assert clear.stats["stable"] and small.stats["stable"]
     assert small.stats["transient_steps"] > 0
+    said = [record.getMessage() for record in caplog.records]
+    assert f"the damped motion: successful after {small.stats['transient_steps']} steps" in said
     assert slight.stats["transient_steps"] > 0
     assert slight.tip_position[0] > 0.05
     # 1e-4 N itself moves the buckled tip by 1.2e-4 m.

@@ -20,6 +20,7 @@ from calibration.cli.common import (
     prior_in,
 )
 from calibration.cli.common import intervals as interval_count
+from calibration.cli.waiting import waiting
 
 
 def add_arguments(parser) -> None:
@@ -83,18 +84,19 @@ def run(args) -> int:
     recorded = None
     if args.recorded:
         recorded = _noisy(joined([load_postures(log, scene) for log in args.recorded]), args.noise)
-    design = design_postures(
-        scene,
-        candidates,
-        fit=names_in(args.fit),
-        count=args.count,
-        shrink=names_in(args.shrink) or None,
-        criterion=args.criterion,
-        recorded=recorded,
-        priors=priors,
-        noise_scale=scale,
-        method=sr.Collocation() if args.intervals is None else sr.Collocation(args.intervals),
-    )
+    with waiting("comparing candidates"):
+        design = design_postures(
+            scene,
+            candidates,
+            fit=names_in(args.fit),
+            count=args.count,
+            shrink=names_in(args.shrink) or None,
+            criterion=args.criterion,
+            recorded=recorded,
+            priors=priors,
+            noise_scale=scale,
+            method=sr.Collocation() if args.intervals is None else sr.Collocation(args.intervals),
+        )
     if args.out is not None:
         _write(args.candidates, design.rows, args.out)
     if args.json:

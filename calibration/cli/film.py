@@ -17,6 +17,7 @@ from calibration.cli.common import (
     positive,
     prepare_jax,
 )
+from calibration.cli.waiting import waiting
 
 _KINDS = (".html", ".gif", ".mp4")
 
@@ -96,17 +97,18 @@ def _animate(args, scene, motion, out, inputs: dict, measured, moves) -> None:
     tensions = inputs.get("tensions")
     if tensions is not None and tensions.shape[1] != scene.tendons.count:
         tensions = None  # those of tendons that are driven by length are not there
-    animate(
-        scene,
-        motion,
-        out,
-        None if tensions is None else np.asarray(tensions),
-        inputs.get("pressures"),
-        speed=args.speed or 1.0,
-        fps=args.fps or 25.0,
-        measured_tip=measured,
-        contacts=moves,
-    )
+    with waiting("drawing"):
+        animate(
+            scene,
+            motion,
+            out,
+            None if tensions is None else np.asarray(tensions),
+            inputs.get("pressures"),
+            speed=args.speed or 1.0,
+            fps=args.fps or 25.0,
+            measured_tip=measured,
+            contacts=moves,
+        )
 
 
 def _of_log(args) -> int:

@@ -39,5 +39,6 @@ def run(args) -> int:
     text = resources.files("calibration.templates").joinpath(f"{args.template}.toml").read_text()
     Path(out).write_text(text, encoding="utf-8")
     print(f"{out} is written: exchange its numbers for those of your robot")
+    print(f"with a recording: softrod import {out} LOG.csv")
     print(f"next: softrod plot {out}")
     return 0

@@ -12,6 +12,7 @@ import sys
 
 from calibration.cli import (
     calibrate,
+    completion,
     design,
     doctor,
     film,
@@ -24,7 +25,8 @@ from calibration.cli import (
     view,
 )
 from calibration.cli.common import UsageError
-from calibration.cli.order import positions_first
+from calibration.cli.order import like, positions_first
+from calibration.cli.verbosity import VERBOSE, add_verbose, shown
 
 COMMANDS = {
     "init": init,
@@ -38,6 +40,7 @@ COMMANDS = {
     "calibrate": calibrate,
     "design": design,
     "doctor": doctor,
+    "completion": completion,
 }
 
 
@@ -61,15 +64,21 @@ def main(argv: list[str] | None = None) -> int:
     try:
         words = sys.argv[1:] if argv is None else list(argv)
         parser, commands = _parsers()
+        completion.complete(parser, commands)
         if not words:
             parser.print_help()
             return 0
-        if words[0] in commands:
-            command = commands[words[0]]
-            args = command.parse_args(positions_first(command, words[1:]))
-        else:
+        name = next((word for word in words if word not in VERBOSE), None)
+        if name in commands:
+            words.remove(name)
+            args = commands[name].parse_args(positions_first(commands[name], words))
+        elif name is None or name.startswith("-"):
             args = parser.parse_args(words)
-        status = args.run(args)
+        else:
+            hint, all_of = like(name, commands), ", ".join(commands)
+            raise UsageError(f"no command {name!r}{hint} (the commands: {all_of})")
+        with shown(getattr(args, "verbose", 0)):
+            status = args.run(args)
         sys.stdout.flush()
         return status
     except BrokenPipeError:
@@ -110,6 +119,7 @@ def _parsers() -> tuple[argparse.ArgumentParser, dict[str, argparse.ArgumentPars
         epilog="`softrod COMMAND --help` describes one command.",
     )
     parser.add_argument("--version", action=_Version, nargs=0, help="print the version")
+    add_verbose(parser)
     found = {}
     commands = parser.add_subparsers(title="commands", metavar="COMMAND", required=True)
     for name, command in COMMANDS.items():
@@ -121,6 +131,7 @@ def _parsers() -> tuple[argparse.ArgumentParser, dict[str, argparse.ArgumentPars
             formatter_class=argparse.RawDescriptionHelpFormatter,
         )
         command.add_arguments(sub)
+        add_verbose(sub)
         sub.set_defaults(run=command.run)
         found[name] = sub
     return parser, found

@@ -5,9 +5,13 @@ all that follows, a scene file too. Here positions are put first.
 """
 
 import argparse
+import difflib
 import math
 import re
+from collections.abc import Iterable
 from pathlib import PurePath
+
+from calibration.cli.common import UsageError
 
 # What ends the values of an option that takes many: the name of a file that it is not about.
 _SCENES = (".toml",)
@@ -17,7 +21,10 @@ _NUMBER = re.compile(r"-(\.?\d|inf|nan)", re.IGNORECASE)
 
 
 def positions_first(parser: argparse.ArgumentParser, words: list[str]) -> list[str]:
-    """The words of a command line, those that belong to no option before all others."""
+    """The words of a command line, those that belong to no option before all others.
+
+    Raises `UsageError` for an option that there is not.
+    """
     positions, options, k = [], [], 0
     while k < len(words):
         word = words[k]
@@ -51,7 +58,15 @@ def _action(parser, word: str) -> argparse.Action | None:
     if name in known:
         return known[name]
     begun = {id(a): a for option, a in known.items() if option.startswith(name)}
+    if not begun and name.startswith("--"):
+        raise UsageError(f"no option {name}{like(name, known)} (see `{parser.prog} --help`)")
     return next(iter(begun.values())) if len(begun) == 1 else None
+
+
+def like(name: str, known: Iterable[str]) -> str:
+    """A question whether what is most like `name` was meant; empty if nothing is."""
+    near = difflib.get_close_matches(name, list(known), 1)
+    return f"; did you mean '{near[0]}'?" if near else ""
 
 
 def _most(action: argparse.Action) -> float:

@@ -31,6 +31,7 @@ from calibration.cli.common import (
 )
 from calibration.cli.simulate import simulated
 from calibration.cli.solve import UNSTABLE
+from calibration.cli.waiting import waiting
 
 _PICTURES, _FILMS = (".png", ".pdf", ".svg"), (".gif", ".html")
 # A log whose tip starts further from the straight rod's, in lengths of the rod, deserves a note.
@@ -154,8 +155,10 @@ def _draw_equilibrium(args, scene, out) -> int:
     from softrod_jax.pictures import modes_picture, picture
 
     inputs = actuation(args, scene)
-    solution = sr.solve_static(scene, *inputs, throw=False, **grid(args))
-    if int(solution.result) != 0:
+    with waiting("solving"):
+        solution = sr.solve_static(scene, *inputs, throw=False, **grid(args))
+        solved = int(solution.result) == 0
+    if not solved:
         return _failed(reason(solution.result))
     if not bool(solution.stats["stable"]):
         note(UNSTABLE)
@@ -178,17 +181,18 @@ def _draw_motion(args, scene_path, log_path, out, kind) -> int:
     trajectory = motion.trajectory
     if kind in _FILMS:
         tensions = _shown(motion.inputs, trajectory.tensions)
-        animate(
-            scene,
-            trajectory,
-            out,
-            None if tensions is None else tensions[1:],
-            None if motion.inputs.pressures is None else motion.inputs.pressures[1:],
-            speed=args.speed or 1.0,
-            fps=args.fps or 25.0,
-            measured_tip=log.tip_positions,
-            contacts=motion.moves["contacts"],
-        )
+        with waiting("drawing"):
+            animate(
+                scene,
+                trajectory,
+                out,
+                None if tensions is None else tensions[1:],
+                None if motion.inputs.pressures is None else motion.inputs.pressures[1:],
+                speed=args.speed or 1.0,
+                fps=args.fps or 25.0,
+                measured_tip=log.tip_positions,
+                contacts=motion.moves["contacts"],
+            )
     else:
         _save(log_figure(log, scene, trajectory), out)
     return _written(out)

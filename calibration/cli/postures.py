@@ -7,6 +7,7 @@ from pathlib import Path
 
 from calibration.cli.common import UsageError, bound_in, names_in, prepare_jax, prior_in
 from calibration.cli.exclusive import alone_in
+from calibration.cli.waiting import waiting
 
 _FOR_MOTIONS = ("per_recording", "held_out", "resume", "optimiser", "profile", "explain", "dt")
 _FOR_MOTIONS += (
@@ -69,7 +70,8 @@ def run_postures(args) -> int:
             posterior=args.posterior,
             draws=args.draws or 1000,
         )
-        fit, verdict = _fitted(args, scene, postures, options)
+        with waiting("fitting"):
+            fit, verdict = _fitted(args, scene, postures, options)
         write_posture_report(fit, out, verdict)
     if args.json:
         print((out / "parameters.json").read_text(encoding="utf-8"))

@@ -13,6 +13,7 @@ from calibration.cli.common import (
     print_json,
     reason,
 )
+from calibration.cli.waiting import waiting
 
 UNSTABLE = (
     "this equilibrium is unstable: any disturbance takes the rod to another one; a small force or "
@@ -34,8 +35,10 @@ def run(args) -> int:
     import softrod_jax as sr
 
     scene = sr.load_scene(args.scene)
-    sol = sr.solve_static(scene, *actuation(args, scene), throw=False, **grid(args))
-    succeeded = int(sol.result) == 0
+    inputs = actuation(args, scene)
+    with waiting("solving"):
+        sol = sr.solve_static(scene, *inputs, throw=False, **grid(args))
+        succeeded = int(sol.result) == 0
     names = ["tip", *(marker.name for marker in scene.markers or ())]
     stable = bool(sol.stats["stable"])
     print_json(

@@ -1,5 +1,6 @@
 """Reading a recording, whatever kind of file it is in."""
 
+import logging
 import os
 from collections.abc import Sequence
 from dataclasses import replace
@@ -14,6 +15,8 @@ from calibration.data.log import read_log
 from calibration.data.mapping import read_mapped
 from calibration.data.recording import Recording, RecordingError
 from calibration.data.trials import files_of
+
+_LOG = logging.getLogger(__name__)
 
 
 def load_recording(
@@ -65,7 +68,7 @@ def load_recordings(
         found = [
             recording
             for path in files_of(given)
-            for recording in _load(path, scene, mapping, need_tip, c3d_options)
+            for recording in _told(_load(path, scene, mapping, need_tip, c3d_options))
         ]
     return [replace(r, notes=(*r.notes, *standing_still(scene, r))) for r in found]
 
@@ -81,10 +84,21 @@ def mapping_name(path: str | PathLike) -> Path | None:
     return Path(path).with_suffix(".map.toml") if Path(path).name else None
 
 
+def _told(recordings: list[Recording]) -> list[Recording]:
+    for recording in recordings:
+        _LOG.info("%s: %d samples", recording.name, len(recording.times))
+        for assumption in recording.notes:
+            _LOG.info("%s: %s", recording.name, assumption)
+    return recordings
+
+
 def _load(path, scene, mapping, need_tip, c3d_options) -> list[Recording]:
     suffix = Path(path).suffix.lower()
     if mapping is None and not c3d_options:
         mapping = mapping_beside(path)
+    _LOG.info(
+        "reading %s" if mapping is None else "reading %s by %s", *filter(None, (path, mapping))
+    )
     if c3d_options and (suffix != ".c3d" or mapping is not None):
         names = ", ".join(c3d_options)
         raise RecordingError(

@@ -4,6 +4,7 @@ Where a search ended, the recordings are simulated with half the steps and on tw
 counts there is not the error of the tip but whether it would lead to other values.
 """
 
+import logging
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,10 +14,12 @@ from calibration.inference.beliefs import weighed
 from calibration.inference.uncertainty import IDENTIFIED, Uncertainty, estimate_uncertainty
 from calibration.problem.motion import Motion
 from calibration.problem.problem import Point
-from calibration.problem.resolution import MOST_INTERVALS, Resolution
+from calibration.problem.resolution import MOST_INTERVALS, Resolution, told
 from calibration.search.history import History
 from calibration.search.minimum import minimise_from
 from calibration.search.optimise import Outcome
+
+_LOG = logging.getLogger(__name__)
 
 # A finer simulation is called for if it would move a value by this part of the half width of its
 # interval, and by more than this in theta, or leaves less than this part of the residuals; if it
@@ -76,6 +79,7 @@ def refine_until_resolved(
         if not refinement.needed or attempt == _REFITS or outcome.result == "interrupted":
             return resolved
         finer = resolution.refined(outcome.best.problem, refinement.steps, refinement.intervals)
+        _LOG.info("a finer simulation would lead to other values; again with %s", told(finer))
         again = minimise_from(outcome.best, finer, max_iterations, history)
         if not again.best.ok:
             return resolved

@@ -1,5 +1,6 @@
 """Postures: what held a robot still, row by row, and where its markers were."""
 
+import logging
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from os import PathLike
@@ -14,6 +15,8 @@ from calibration.data.quantities import quantities_of
 from calibration.data.recording import RecordingError
 from calibration.postures.cells import Cells, read_cells
 from softrod_jax.scene.inputs import KINDS, Inputs
+
+_LOG = logging.getLogger(__name__)
 
 # The noise of a marker's attitude where nothing is said [rad].
 TURN = 0.01
@@ -117,6 +120,7 @@ def load_postures(path: str | PathLike, scene: sr.Scene) -> Postures:
     Raises `RecordingError` with file, row and column.
     """
     postures = _read(path, scene)
+    _LOG.info("%s: %d postures", path, len(postures.labels))
     if not (postures.positions or postures.quaternions or postures.others):
         raise RecordingError(
             f"{path}: nothing was measured: expected columns such as tip_x_m, tip_y_m, tip_z_m"

@@ -1,5 +1,6 @@
 """`calibrate_postures`: from a scene and postures to fitted numbers with intervals."""
 
+import logging
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -34,6 +35,8 @@ from calibration.postures.search import (
     numbers_of,
 )
 from calibration.report.results import Compared, Estimate, compared
+
+_LOG = logging.getLogger(__name__)
 
 _MOST_EVALUATIONS = 60
 # Where there are priors, the noise is estimated and the fit repeated until the weight is settled.
@@ -127,6 +130,7 @@ def calibrate_postures(
     priors = checked_pairs("priors", priors, names)
     search = Search(model, priors, checked_pairs("bounds", bounds, names))
     theta, best, count, converged = search.run(np.zeros(len(names)), max_evaluations)
+    _LOG.info("%d evaluations, %s", count, "converged" if converged else "not converged")
     for _ in range(_ROUNDS if priors else 0):
         # A prior weighs as one measurement; how much those of the markers do the residuals tell.
         weight = 1.0 / max(noise_scale_of(best), LEAST_SCALE) ** 2
@@ -135,6 +139,7 @@ def calibrate_postures(
         search = replace(search, weight=weight)
         theta, best, more, converged = search.run(theta, max_evaluations)
         count += more
+        _LOG.info("residuals weighed by %.3g beside the priors: %d evaluations", weight, more)
     held_out = None
     if folds is not None:
         held_out = _cross_validated(model, search, theta, folds)

@@ -6,6 +6,7 @@ rod. It is done at the values from which a search starts, and again where it end
 (`calibration.inference.refinement`).
 """
 
+import logging
 import math
 from dataclasses import dataclass, replace
 
@@ -24,6 +25,8 @@ from calibration.problem.dataset import Dataset
 from calibration.problem.evaluation import predict
 from calibration.problem.motion import METHOD, SCHEME, Motion
 from calibration.problem.problem import Problem, make_problem
+
+_LOG = logging.getLogger(__name__)
 
 # What an error of the tip may be, rms, in lengths of the rod, by default; of what moves less than
 # that, this part of the motion. An error along the rod falls with the sixth power of the intervals,
@@ -141,14 +144,27 @@ def choose_resolution(problem: Problem, resolution: Resolution) -> Problem:
     given = resolution.dt is not None and resolution.method is not None
     for _ in range(0 if given else _TRIES):
         finer = resolution.simulate_finer(problem, x)
+        _LOG.debug(
+            "tried %s, half the steps and twice the grid: %s",
+            told(problem),
+            "no solution" if finer.half is None else "solved",
+        )
         failures = failures + 1 if finer.half is None else 0
         if failures > _FAILURES or not finer.curable:
+            _LOG.info("no steps and grid serve at the first values: %s, as they were", told(first))
             return first
         steps, intervals = _needed(problem, finer, x, allowed, resolution)
         if steps == 1 and intervals == problem.method.intervals:
-            return problem
+            break
         problem = resolution.refined(problem, steps, intervals)
+    _LOG.info("simulated with %s", told(problem))
     return problem
+
+
+def told(problem: Problem) -> str:
+    """The steps of each recording and the grid of a problem, for the log."""
+    steps = ", ".join(dict.fromkeys(f"{clock.dt:.4g}" for clock in problem.space.clocks))
+    return f"steps of {steps} s, {problem.method.intervals} intervals along the rod"
 
 
 def allowed_errors(problem: Problem, resolution: Resolution) -> tuple[float, float]:

@@ -80,15 +80,16 @@ def _draw_path(axes, recording) -> None:
     axes.plot(*tip.T, lw=1, color=_MEASURED)
     axes.plot(*tip[:1].T, "o", ms=5, color="black", label="start")
     axes.plot(*tip[-1:].T, "s", ms=5, color=_SIMULATED, label="end")
-    axes.set(xlabel="x [mm]", ylabel="y [mm]", zlabel="z [mm]", title="path of the tip")
+    for name in "xyz":  # far enough from the numbers
+        getattr(axes, f"set_{name}label")(f"{name} [mm]", labelpad=10)
     # A tip that moves in a plane, or along a line, needs room across it.
     middle = (tip.min(axis=0) + tip.max(axis=0)) / 2
-    room = np.maximum(np.ptp(tip, axis=0), 0.3 * np.ptp(tip, axis=0).max() + 1e-3) * 0.55
+    room = np.maximum(np.ptp(tip, axis=0), 0.5 * np.ptp(tip, axis=0).max() + 1e-3) * 0.55
     for name, centre, half in zip("xyz", middle, room, strict=True):
         axes.set(**{f"{name}lim": (centre - half, centre + half)})
-        axes.locator_params(axis=name, nbins=4)
+        axes.locator_params(axis=name, nbins=3)
     axes.set_box_aspect(room, zoom=0.8)
-    axes.legend(fontsize=8, loc="upper left")
+    axes.legend(fontsize=8, loc="upper left", bbox_to_anchor=(0.05, 0.95), title="path of the tip")
 
 
 def _draw_rod(figure, place, recording, scene, trajectory) -> None:

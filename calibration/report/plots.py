@@ -5,16 +5,22 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
+from matplotlib import colormaps
 from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.cm import ScalarMappable
+from matplotlib.colors import ListedColormap, Normalize
 from matplotlib.figure import Figure
 
 from calibration.data.recording import Recording
 from calibration.data.selection import select
 from calibration.report.results import Fit, RecordingFit
 from calibration.report.spectra import amplitudes
+from softrod_jax.pictures.body import line_along
 
 _MEASURED, _SIMULATED, _QUIET = "#1f77b4", "#d62728", "#888888"
-_SHAPES = 14
+# Moments of a motion, places along the rod, and the colours from its begin to its end.
+_SHAPES, _PLACES = 14, 60
+_IN_TIME = ListedColormap(colormaps["plasma"](np.linspace(0.0, 0.88, 256)))  # yellow is not seen
 
 
 def write_plots(fit: Fit, directory: Path) -> dict[str, Path]:
@@ -153,18 +159,22 @@ def motion_figure(recording: RecordingFit) -> Figure:
     """The rod at times of the motion, in the plane in which it moves most."""
     figure = Figure(figsize=(6, 4.5), layout="constrained")
     axis = figure.subplots()
-    shapes = 1e3 * recording.motion.positions
-    shown = np.unique(np.linspace(0, len(shapes) - 1, _SHAPES).astype(int))
-    across = int(np.argmax(np.ptp(shapes[:, -1, :2], axis=0)))
-    for k in shown:
-        share = k / max(len(shapes) - 1, 1)
-        color = (0.85 * share, 0.15, 0.85 * (1 - share))
-        axis.plot(shapes[k, :, 2], shapes[k, :, across], color=color, lw=1)
-    axis.plot(shapes[:, -1, 2], shapes[:, -1, across], color=_QUIET, lw=0.7)
+    motion = recording.motion
+    tip = 1e3 * motion.positions[:, -1]
+    across = int(np.argmax(np.ptp(tip[:, :2], axis=0)))
+    # Between the few nodes of a fit's grid, too.
+    arc = np.linspace(0.0, np.max(motion.arc_lengths), _PLACES)
+    shapes = 1e3 * line_along(motion, arc).p
+    axis.plot(tip[:, 2], tip[:, across], color=_QUIET, lw=0.7)
+    for k in np.unique(np.linspace(0, len(tip) - 1, _SHAPES).astype(int)):
+        color = _IN_TIME(k / max(len(tip) - 1, 1))
+        axis.plot(shapes[k, :, 2], shapes[k, :, across], color=color, lw=1.2)
     axis.set_xlabel("z [mm]")
     axis.set_ylabel(f"{'xy'[across]} [mm]")
     axis.set_aspect("equal", adjustable="datalim")
-    axis.set_title("the simulated rod, from blue to red in time; grey: its tip", fontsize=9)
+    span = Normalize(float(motion.ts[0]), float(motion.ts[-1]))
+    figure.colorbar(ScalarMappable(span, _IN_TIME), ax=axis, label="time [s]", aspect=40)
+    axis.set_title("the simulated rod in time; grey: the path of its tip", fontsize=9)
     return figure
 
 

@@ -1,8 +1,12 @@
 """Every evaluation of a fit: for the meter, the checkpoint, the history, and the best."""
 
+import logging
+
 from calibration.problem.problem import Point
 from calibration.search.checkpoint import Checkpoint
 from calibration.search.progress import AbstractMeter
+
+_LOG = logging.getLogger(__name__)
 
 
 class History:
@@ -20,6 +24,7 @@ class History:
     def stage(self, title: str, total: int | None) -> None:
         """A part of the fit begins, of at most `total` evaluations; None: nobody knows."""
         self._stage = title
+        _LOG.info("stage: %s", title)
         self.meter.stage(title, total)
 
     def add(self, point: Point) -> None:
@@ -27,6 +32,7 @@ class History:
         values = {name: v.tolist() for name, v in point.problem.space.values(point.x).items()}
         rms = point.rms if point.ok else None
         self.entries.append({"stage": self._stage, "rms_m": rms, **values})
+        _LOG.debug("%s: rms %s m at %s", self._stage, rms, values)
         self.meter.show(point)
 
     def add_of_search(self, point: Point) -> None:

@@ -95,8 +95,9 @@ class Bar(AbstractMeter):
 
     def __exit__(self, *error):
         self._finish()
+        self._live.refresh()  # in a notebook the last picture is not drawn otherwise
         self._live.stop()
-        if not self._console.is_terminal:
+        if not (self._console.is_terminal or self._console.is_jupyter):
             self._console.line()  # rich ends the last picture in a file without one
 
     def stage(self, title, total):

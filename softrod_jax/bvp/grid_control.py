@@ -4,6 +4,7 @@ Only calls that nobody compiles into a larger program can do that: the number of
 of the program.
 """
 
+import logging
 import math
 from collections.abc import Callable
 
@@ -14,6 +15,8 @@ import numpy as np
 from softrod_jax.bvp.method import AbstractMethod
 from softrod_jax.foundation.results import RESULTS
 from softrod_jax.scene.scene import Scene
+
+_LOG = logging.getLogger(__name__)
 
 # Lengths of the rod within which an answer is sought where nothing else is said.
 DEFAULT_TOLERANCE = 1e-4
@@ -54,6 +57,14 @@ def solve_within(solve: Callable, method: AbstractMethod, tolerance: float):
             return solution
         factor = _factor(error / tolerance, method.order) if solved else _AFTER_FAILURE
         finer = _times(method, factor)
+        _LOG.info(
+            "%d intervals along the rod: %s, error %.2g lengths (%.2g allowed); next %s",
+            method.intervals,
+            RESULTS(code).name,
+            error,
+            tolerance,
+            "none, it is the finest grid" if finer == method else finer.intervals,
+        )
         if finer == method:
             return _inaccurate(solution) if solved else solution
         method = finer

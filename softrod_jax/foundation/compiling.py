@@ -3,12 +3,15 @@
 import contextlib
 import contextvars
 import functools
+import logging
 from collections.abc import Callable
 
 import equinox as eqx
 import jax
 
 from softrod_jax.foundation.tracing import is_traced
+
+_LOG = logging.getLogger(__name__)
 
 # XLA's newer code generator for CPUs (jax 0.10) takes twice as long to compile a rod's program,
 # which then runs no faster. Its search for what does not change in a loop takes a tenth of the rest
@@ -46,7 +49,8 @@ def compiler_options() -> dict | None:
         return None
     try:
         jax.jit(lambda x: x + 1.0, compiler_options=_OPTIONS)(0.0)
-    except RuntimeError:  # of which XLA's "No such compile option" is a kind
+    except RuntimeError as e:  # of which XLA's "No such compile option" is a kind
+        _LOG.info("compiling without XLA's options %s, which take less time: %s", list(_OPTIONS), e)
         return None
     return _OPTIONS
 

@@ -7,6 +7,7 @@ as long as one process lives, and a next run does what is missing if none does.
 
 import hashlib
 import json
+import logging
 import os
 import zipfile
 from collections.abc import Callable
@@ -18,6 +19,8 @@ import numpy as np
 
 from softrod_jax.foundation.whole_files import whole_file
 from softrod_jax.parallel.batches import count_samples, digest, padded, spread
+
+_LOG = logging.getLogger(__name__)
 
 
 class SweepError(ValueError):
@@ -70,6 +73,8 @@ def sweep(
     traced = _trace(function, arguments)
     store = _Store(Path(directory), _fingerprint(traced, arguments), count, chunk)
     on_all = spread(function, devices)
+    there = sum(store.path(k).exists() for k in range(store.chunks))
+    _LOG.info("%s: %d of %d chunks are there", directory, there, store.chunks)
     for k in _order(store.chunks, number, processes):
         if not store.path(k).exists():
             rows = store.rows(k)
@@ -78,6 +83,7 @@ def sweep(
             out = on_all(*samples)
             size = rows.stop - rows.start
             store.write(k, [np.asarray(x)[:size] for x in jax.tree.leaves(out)])
+            _LOG.info("%s: chunk %d of %d is done", directory, k + 1, store.chunks)
     parts = [store.read(k) for k in range(store.chunks)]
     leaves = [np.concatenate(same) for same in zip(*parts, strict=True)]
     return jax.tree.unflatten(jax.tree.structure(traced.out_info), leaves)

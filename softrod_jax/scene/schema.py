@@ -21,6 +21,7 @@ from softrod_jax.scene.sections import Annulus, Circle, GeneralSection, Rectangl
 from softrod_jax.scene.segments import Segment, Stiffness
 from softrod_jax.scene.silicones import SILICONES, known_silicones
 from softrod_jax.scene.tendons import CONTROLS, GUIDES, Helix, Line, Points, Tendons
+from softrod_jax.scene.units import UnitError, in_unit
 
 
 class SceneError(ValueError):
@@ -42,6 +43,10 @@ class Numbers:
 
         Raises `SceneError`.
         """
+        try:
+            value = in_unit(value, self.number.unit)
+        except UnitError as e:
+            raise SceneError(complaint(where, value, str(e))) from None
         if not self._has_shape(value):
             raise SceneError(complaint(where, value, f"expected {self}"))
         try:

@@ -10,6 +10,7 @@ their steps, and lasts.
 
 import functools
 import itertools
+import logging
 import math
 from collections.abc import Callable
 
@@ -24,6 +25,8 @@ from softrod_jax.rod.reduction import make_rod
 from softrod_jax.scene.scene import Scene
 from softrod_jax.stepping.scheme import AbstractTimeScheme
 from softrod_jax.stepping.substeps import MOST_SUBSTEPS, LocalError
+
+_LOG = logging.getLogger(__name__)
 
 # The limit of the local error in the first try, in tolerances, and how strict it may become. The
 # errors of many steps add up, so that it starts below one.
@@ -72,8 +75,10 @@ def run_within(
     `inaccurate` where no care that is offered is enough.
     """
     care = _first_care(scene, dt, scheme, substeps, tolerance)
+    first = run(care, method)
+    _told("at first", first, method)
     last, error, method, agrees = _with_more_care(
-        run, scene, run(care, method), care, method, fixed_grid, tolerance
+        run, scene, first, care, method, fixed_grid, tolerance
     )
     if _solved(last) and not agrees:
         last = _never_twice(last, error, tolerance)
@@ -103,6 +108,7 @@ def _with_more_care(
         # Where the grid was to blame, too, stricter steps than these may be for nothing.
         care = _more_care(care, excess if method == before else 1.0)
         code, last, excess = int(last.result), run(care, method), 1.0
+        _told("with more care", last, method)
         if not _solved(last):
             if int(last.result) == code and code not in _CURABLE:
                 break  # twice the same answer: there is none
@@ -140,6 +146,7 @@ def run_checked(
     once = lambda method: run(_count(substeps), method, _number(limit))
     unjudged = lambda care, method: run(care, method, _number(jnp.inf))
     motion = once(method)
+    _told("once", motion, method)
     if not fixed_grid:
         motion, method = _smoother(once, motion, method)
     estimate = float(_stat(motion, "time_error")[-1])
@@ -149,6 +156,7 @@ def run_checked(
         unjudged, scene, fine, care, method, fixed_grid, *_shown_by(limit), tries
     )
     if not (moving or fixed_steps) and int(motion.result) in _CURABLE:
+        _LOG.info("the motion breaks off at step %d: more care is tried", int(motion.failed_step))
         care = careful()
         return _rescued(motion, method, *more(unjudged(care, method), care, _RESCUES), limit)
     if not (estimate > _DOUBTFUL * limit and moving and _is_smooth(motion, method)):
@@ -161,8 +169,14 @@ def run_checked(
             if least[-1] <= _CONFIRMS * limit:
                 return _with(motion, None, method)
     judged = lambda error, **more: _judged(_with(motion, error, method, **more), limit)
+    _LOG.info(
+        "the steps in time may leave an error of %.2g lengths (%.2g allowed): another motion tells",
+        estimate,
+        limit,
+    )
     care = careful()
     fine = unjudged(care, method)
+    _told("in substeps that errors choose", fine, method)
     if _solved(fine):
         error = np.maximum(_apart(motion, fine, scene) + _stat(fine, "time_error"), least)
         if error[-1] <= limit:
@@ -204,6 +218,19 @@ def _never_twice(motion, error, limit: float):
     step = 0 if error is None else int(np.argmax(error > min(limit, error[-1])))
     code = jnp.asarray(np.int32(RESULTS.inaccurate))
     return eqx.tree_at(lambda t: (t.result, t.failed_step), motion, (code, _count(step)))
+
+
+def _told(how: str, motion, method: AbstractMethod) -> None:
+    """A motion that was solved, for the log."""
+    if not _LOG.isEnabledFor(logging.INFO):
+        return
+    _LOG.info(
+        "the motion %s: %s, %d substeps, %d intervals",
+        how,
+        RESULTS(int(motion.result)).name,
+        np.sum(_stat(motion, "substeps")),
+        method.intervals,
+    )
 
 
 def _solved(motion) -> bool:
@@ -250,6 +277,7 @@ def _smoother(run: Callable, motion, method: AbstractMethod):
         if 2 * method.intervals > _MOST_INTERVALS:
             break
         finer = run(method.finer())
+        _told(f"on a finer grid, for an error of {roughness(motion):.2g}", finer, method.finer())
         if int(finer.result) not in curable:
             break
         coarse, motion, method = motion, finer, method.finer()

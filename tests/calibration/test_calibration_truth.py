@@ -74,12 +74,19 @@ def test_both_optimisers_agree(fits):
         assert abs(by_lm[name].value - by_adam[name].value) < 0.1 * (high - low)
 
 
-def test_a_parameter_without_information_is_called_so(release):
+def test_a_parameter_without_information_is_called_so(release, caplog):
     # The recording was made without drag: from above it is bounded, from below it is not.
     damping = TRUTH["bending_damping"]
     scene = beam(young_modulus=2.5e5, bending_damping=damping, drag_coefficient=1e-4)
     names = ("young_modulus", "drag_coefficient")
+    caplog.set_level("INFO", "calibration")
     fit = calibrate(scene, [release], fit=names, checks=False, progress=False)
+    said = [record.getMessage() for record in caplog.records]
+    assert (
+        f"simulated with steps of {fit.dt['release']:.4g} s, {fit.method.intervals} intervals"
+        in said[0]
+    )
+    assert "stage: levenberg marquardt" in said and "stage: intervals" in said
     assert fit.parameters["young_modulus"].identifiable
     drag = fit.parameters["drag_coefficient"]
     assert np.isfinite(drag.value)

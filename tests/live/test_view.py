@@ -1,12 +1,14 @@
 """A rod that is driven while it moves: where it comes to rest, what is kept of it, and the page."""
 
-import shutil
+import io
 import time
 from dataclasses import replace
 
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from browser import tab
+from PIL import Image
 
 import softrod_jax as sr
 from calibration import load_recording
@@ -108,24 +110,25 @@ def test_a_slider_moves_the_tip_in_real_time(page, tmp_path):
     assert page.sliders["tensions"][0].value == 0
 
 
+def seen(shown) -> np.ndarray:
+    """The picture of a tab, without the panel of sliders at its right."""
+    picture = Image.open(io.BytesIO(shown.screenshot())).convert("RGB")
+    return np.asarray(picture, dtype=float)[:, : picture.width - 350]
+
+
 def test_in_a_browser(page):
-    """A slider that keys move; the page's own script draws it."""
-    playwright = pytest.importorskip("playwright.sync_api")
-    chromium = shutil.which("chromium") or shutil.which("google-chrome")
-    if chromium is None:
-        pytest.skip("needs Chromium")
-    options = ["--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
-    with playwright.sync_playwright() as tools:
-        browser = tools.chromium.launch(executable_path=chromium, args=options)
-        tab = browser.new_page()
-        tab.goto(f"http://127.0.0.1:{page.port}")
-        slider = tab.locator("[role=slider]").first
-        slider.focus(timeout=30_000)
+    """A slider that keys move: the rod moves, and so does the picture of it."""
+    with tab(f"http://127.0.0.1:{page.port}") as shown:
+        slider = shown.locator("[role=slider]").first
+        slider.focus()
+        at_rest = seen(shown)
         for _ in range(20):
-            tab.keyboard.press("ArrowRight")
+            shown.keyboard.press("ArrowRight")
         assert waited(lambda: page.sliders["tensions"][0].value > 0.01)
         assert waited(lambda: page.session.tip[0] > 1e-3)
-        browser.close()
+        # A pixel of five hundred is no longer what it was.
+        changed = lambda: np.mean(np.any(np.abs(seen(shown) - at_rest) > 30, axis=2))
+        assert waited(lambda: changed() > 0.002)
 
 
 def test_what_is_missing_is_said(session, monkeypatch):

@@ -1,6 +1,7 @@
 """The pages of the documentation: their snippets run in order, and print what they say."""
 
 import json
+import logging
 import re
 from pathlib import Path
 
@@ -20,6 +21,7 @@ RUN = {
     "command-line.md": 5,
     "contact.md": 1,
     "learning.md": 1,
+    "logging.md": 1,
     "python.md": 2,
     "scene-file.md": 1,
     "see-and-touch.md": 1,
@@ -39,7 +41,11 @@ def folder(tmp_path, monkeypatch):
     monkeypatch.setattr(common, "prepare_jax", lambda: None)
     for command in ("solve", "simulate", "plot", "calibrate", "doctor", "modes"):
         monkeypatch.setattr(f"calibration.cli.{command}.prepare_jax", lambda: None)
-    return tmp_path
+    logger = logging.getLogger("softrod_jax")
+    before = logger.level, list(logger.handlers)
+    yield tmp_path
+    logger.setLevel(before[0])
+    logger.handlers[:] = before[1]
 
 
 @pytest.mark.long
@@ -81,6 +87,9 @@ def test_the_scene_file(folder):
         assert float(getattr(scene, part)) == float(getattr(paper, part))
     np.testing.assert_allclose(scene.tendons.offsets, paper.tendons.offsets, atol=1e-7)
     np.testing.assert_allclose(scene.chambers.areas, paper.chambers.areas, rtol=1e-7)
+    own = sr.load_scene("with-units.toml")
+    for part in ("length", "young_modulus", "density"):
+        assert float(getattr(own, part)) == pytest.approx(float(getattr(paper, part)), rel=1e-15)
 
 
 def test_the_result_codes():

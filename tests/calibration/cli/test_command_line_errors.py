@@ -19,7 +19,7 @@ STEP = ["--dt", "0.1", "--duration", "1"]
 # The command line, files that it needs, and what the message must say.
 BAD = [
     (["--colour"], {}, ["COMMAND", "softrod --help"]),
-    (["solv", "robot.toml"], {}, ["'solv'", "solve"]),
+    (["solv", "robot.toml"], {}, ["'solv'", "did you mean 'solve'?", "simulate"]),
     (["solve"], {}, ["SCENE.toml"]),
     (["solve", "absent.toml"], {}, ["absent.toml", "No such file"]),
     (["solve", "."], {}, ["cannot read"]),
@@ -34,6 +34,7 @@ BAD = [
     (["solve", "robot.toml", "--pressure", "1", "2"], {}, ["--pressure: 2 given", "1 chamber;"]),
     (["solve", "chamber.toml", "--tension", "1"], {}, ["--tension", "no tendons", "[[tend"]),
     (["solve", "robot.toml", "--colour"], {}, ["--colour"]),
+    (["solve", "robot.toml", "--tensoin", "1"], {}, ["--tensoin; did you mean '--tension'?"]),
     (["simulate", "robot.toml", "--duration", "1"], {}, ["--dt"]),
     (["simulate", "robot.toml", "--dt", "0.1"], {}, ["--duration is needed"]),
     (["simulate", "robot.toml", "--dt", "0", "--duration", "1"], {}, ["--dt", "above 0"]),

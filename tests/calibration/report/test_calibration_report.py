@@ -15,6 +15,7 @@ from calibration.cli.main import main
 from calibration.parameters.unknowns import choose_unknowns
 from calibration.report.films import FilmError, read_motions
 from calibration.report.numbers import as_json
+from calibration.report.plots import motion_figure
 from calibration.report.writing import summary, write_report
 from softrod_jax.scene.scene import as_arrays
 
@@ -187,3 +188,18 @@ def test_a_fit_at_the_noise_has_converged():
     assert found.result == "converged"
     assert found.rmse_m["release"] == pytest.approx(8e-3 * np.sqrt(3), rel=0.3)
     assert set(TRUTH) == set(found.parameters)
+
+
+def test_rods_in_the_picture_of_a_motion_are_smooth(plain):
+    """A fit's grid has few nodes; a polygon through them would leave the rod by more than 1e-3 of
+    its length. The curve drawn is as long as the rod and ends where the tip is."""
+    recording = plain.recordings[0]
+    tip = 1e3 * recording.motion.positions[:, -1]
+    path, *rods = motion_figure(recording).axes[0].lines
+    np.testing.assert_allclose(path.get_xdata(), tip[:, 2])
+    assert len(rods) == 14
+    for rod, k in zip(rods, np.linspace(0, len(tip) - 1, 14).astype(int), strict=True):
+        z, across = rod.get_data()
+        assert len(z) == 60 and z[-1] == pytest.approx(tip[k, 2])
+        turns = np.diff(np.unwrap(np.arctan2(np.diff(across), np.diff(z))))
+        assert np.max(np.abs(turns)) < 0.1
