@@ -27,7 +27,7 @@ from stress_scenes import KINDS, Draw, random_equilibrium
 
 import softrod_jax as sr
 from softrod_jax.scene.scene import as_arrays
-from softrod_jax.stepping.time_error import EFFECTIVE_MASS
+from softrod_jax.stepping.first_mode import EFFECTIVE_MASS
 
 STEPS, PERIODS = 20, 4.0
 COURSES = "jump", "ramp", "let go"

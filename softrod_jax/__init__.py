@@ -23,6 +23,7 @@ from softrod_jax.foundation.results import result_message as result_message
 from softrod_jax.parallel.batches import spread as spread
 from softrod_jax.parallel.sweeps import SweepError as SweepError
 from softrod_jax.parallel.sweeps import sweep as sweep
+from softrod_jax.scene.acting import AbstractCondition as AbstractCondition
 from softrod_jax.scene.acting import AbstractDissipation as AbstractDissipation
 from softrod_jax.scene.acting import AbstractDistributedLoad as AbstractDistributedLoad
 from softrod_jax.scene.acting import AbstractEnergy as AbstractEnergy

@@ -18,7 +18,7 @@ from softrod_jax.foundation.numbers import ManyLike, ScalarLike
 from softrod_jax.foundation.precision import require_float64
 from softrod_jax.foundation.results import RESULTS, raise_unless_successful, without_derivative
 from softrod_jax.foundation.tracing import is_traced
-from softrod_jax.rod.given_lengths import tensions_of
+from softrod_jax.rod.given_lengths import held_of, tensions_of
 from softrod_jax.rod.markers import seen
 from softrod_jax.rod.reduction import clamp_pose
 from softrod_jax.rod.rotations import to_base
@@ -65,6 +65,7 @@ class Trajectory(eqx.Module):
     - `strains` (v, u) and `velocities` (q, omega), (steps + 1, outputs, 6), body frame.
     - `arc_lengths` [m], (outputs,).
     - `tensions` [N], (steps + 1, tendons): of all tendons, at the end where their actuator is.
+    - `held`, (steps + 1, conditions): what holds each of the scene's `conditions`.
     - `markers`: by name, "tip" among them, a `Track` with `positions` [m], (steps + 1, 3), and
       `quaternions`, (steps + 1, 4), and the rod's `strains` there, (steps + 1, 6).
     - `contact_forces`: by the name of each contact, the force [N], (steps + 1, 3), with which its
@@ -92,6 +93,7 @@ class Trajectory(eqx.Module):
     velocities: Float[Array, "times outputs 6"]
     arc_lengths: Float[Array, "outputs"]
     tensions: Float[Array, "times tendons"]
+    held: Float[Array, "times conditions"]
     markers: dict[str, Track]
     contact_forces: dict[str, Float[Array, "times 3"]]
     base_wrenches: Float[Array, "times 6"]
@@ -254,6 +256,8 @@ def beginning_in(initial: StaticSolution, scene: Scene) -> Beginning:
     """How a motion of `scene` begins in an equilibrium of it."""
     by_length = driven_by_length(scene.tendons)
     found = initial.tensions[jnp.array(by_length)] if by_length else None
+    if scene.conditions is not None:
+        found = initial.held if found is None else jnp.concatenate([found, initial.held])
     pulls, slid = initial.pulls if by_length else None, initial.reached.slid
     pushes = None
     if scene.contacts is not None:
@@ -332,6 +336,7 @@ def _simulate(scene, dt, inputs, poses, begin, steps, substeps, scheme, method, 
             velocities=velocities,
             arc_lengths=nodes,
             tensions=tensions_of(scene, _from_start(inputs, begin), found, (steps + 1,)),
+            held=held_of(scene, found, (steps + 1,)),
             markers={
                 name: Track(x.position, x.quaternion, _strains_at(scene, name, inside, nodes))
                 for name, x in poses.items()

@@ -31,7 +31,7 @@ from softrod_jax.foundation.precision import require_float64
 from softrod_jax.foundation.results import RESULTS, raise_unless_successful, without_derivative
 from softrod_jax.foundation.tracing import is_traced
 from softrod_jax.rod.constants import full_strain, inner_strain
-from softrod_jax.rod.given_lengths import path_shortening, tensions_of
+from softrod_jax.rod.given_lengths import held_of, path_shortening, tensions_of
 from softrod_jax.rod.markers import seen
 from softrod_jax.rod.ode import contact_forces, slid_after
 from softrod_jax.rod.reduction import clamp_pose, make_rod, where_active
@@ -68,6 +68,7 @@ class StaticSolution(eqx.Module):
     - `tensions_along` [N], (outputs, tendons): along the rod, where friction takes from them; zero
       where a tendon is not.
     - `pulls` [m]: those that tendons have followed, behind the play of their actuators.
+    - `held`, (conditions,): what holds each of the scene's `conditions`, 0 where nothing must.
     - `markers`: by name, "tip" among them, a `Pose` (`position` [m], (3,), `quaternion`, (4,)).
     - `contact_force`: by the name of each contact, the force [N], (3,), with which its obstacle
       pushes the rod, base frame.
@@ -90,6 +91,7 @@ class StaticSolution(eqx.Module):
     tensions: Float[Array, "tendons"]
     tensions_along: Float[Array, "outputs tendons"]
     pulls: Float[Array, "by_length"]
+    held: Float[Array, "conditions"]
     markers: dict[str, Pose]
     contact_force: dict[str, Float[Array, "3"]]
     result: Int[Array, ""]
@@ -300,6 +302,7 @@ def _solution(scene, inputs, rod, method, solved, valid, transient_steps):
         tensions=tensions,
         tensions_along=method.outputs(_tensions_along(rod, layout, fields, tensions.shape[0])),
         pulls=jnp.zeros(0) if inputs.pulls is None else jnp.asarray(inputs.pulls),
+        held=held_of(scene, fields.multipliers),
         markers=seen(scene, method.inside(strain), nodes, positions, quaternions),
         contact_force=dict(
             zip(contact_names(scene.contacts), contact_forces(fields.y, rod, layout), strict=True)

@@ -16,7 +16,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from softrod_jax.bvp.equations import Equations, Residual, Unknowns
 from softrod_jax.bvp.method import AbstractMethod, Guess
-from softrod_jax.bvp.newton import NewtonOptions, ReusedFactors, newton
+from softrod_jax.bvp.newton import NewtonOptions, NewtonResult, ReusedFactors, newton, size_of
 from softrod_jax.foundation.compiling import on_cpu
 from softrod_jax.foundation.results import RESULTS
 from softrod_jax.rod.constants import Rod
@@ -26,6 +26,8 @@ from softrod_jax.rod.state import History, Layout
 # Where a solve fails with less than this left of the rod's length anywhere, or of a tendon's path
 # or a fibre, that is why.
 _VANISHING = 0.02
+# A correction this small, in scales, leaves its square.
+_CLOSE = 1e-6
 
 
 class Found(NamedTuple):
@@ -81,9 +83,24 @@ def search_directly(
     )
     one, stable = jnp.ones((), jnp.int32), jnp.array(True)
     if not layout.dynamic:
+        end = _once_more(equations, end)
         stable = equations.is_stable(end.y, end.factors)
     found = Found(end.result, end.iterations, end.correction, end.contraction, one, stable)
     return end.y, found, end.factors
+
+
+def _once_more(equations: Equations, end: NewtonResult) -> NewtonResult:
+    """An equilibrium with one more correction by the factors at it, which are there anyway.
+
+    Multipliers may be small beside the forces of a bent rod, by which Newton's tolerance goes.
+    """
+    if end.y.multipliers is None:
+        return end
+    step = equations.correct(end.factors, equations.residual(end.y))
+    good = size_of(step, equations.scale(end.y)) <= _CLOSE
+    good &= end.result == RESULTS.successful
+    moved = jax.tree.map(lambda y, dy: y + jnp.where(good, dy, 0.0), end.y, step)
+    return end._replace(y=moved)
 
 
 def solve_boundary_value(

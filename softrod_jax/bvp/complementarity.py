@@ -10,10 +10,12 @@ from softrod_jax.bvp.block_sweep import inverse
 
 # A gap below zero by this part of the largest one is a rounding error.
 _ROUNDING = 1e-10
-# What is added to the diagonal where S is inverted, as a part of its largest entry. Several tendons
+# What is added to the diagonal where S is inverted, as a part of each entry. Several tendons
 # may hold the same (two on one path, four in one section): they share then. Newton's method, whose
 # gaps are exact, converges with it at this rate, or this over how much softer a direction is.
 _SHARED = 1e-9
+# The least entry of the diagonal that units are made of, as a part of its largest one.
+_LEAST = 1e-15
 # A gap that is left, as a part of the largest one that there would be without multipliers.
 _CONTRADICTION = 1e-4
 # Exchanges of all at once that are tried in vain.
@@ -41,12 +43,15 @@ class Conditions(NamedTuple):
         """
         m = q.shape[0]
         index = jnp.arange(m)
+        # Gaps of different kinds are compared in units of their own.
+        unit = _units(self.S)
+        largest = jnp.max(jnp.abs(q) / unit)
 
         def judged(x, tight):
             x = jnp.where(tight, x, 0.0)
             gap = q + self.S @ x
             # What is not a number is wrong, too.
-            return x, ~jnp.where(tight, x >= 0, gap >= -_ROUNDING * jnp.max(jnp.abs(q)))
+            return x, ~jnp.where(tight, x >= 0, gap / unit >= -_ROUNDING * largest)
 
         def exchange(state):
             tight, _, wrong, fewest, patience, tries = state
@@ -67,7 +72,7 @@ class Conditions(NamedTuple):
         tight, x, wrong, *_ = jax.lax.while_loop(unsolved, exchange, start)
         # Conditions that contradict each other leave a gap, however large the multipliers.
         left = jnp.where(tight, jnp.abs(q + self.S @ x), 0.0)
-        contradiction = jnp.max(left) > _CONTRADICTION * jnp.max(jnp.abs(q))
+        contradiction = jnp.max(left / unit) > _CONTRADICTION * largest
         return jnp.where(jnp.any(wrong) | contradiction, jnp.nan, x)
 
     def _solved(self, inverse, q, tight):
@@ -84,5 +89,14 @@ def conditions(S: Float[Array, "m m"], tight: Bool[Array, "m"]) -> Conditions:
 def _inverse_of(S, tight):
     """Of S in the rows and columns that are tight; those of the others are a unit matrix's."""
     eye = jnp.eye(S.shape[0])
-    S = S + _SHARED * jnp.max(jnp.abs(jnp.diagonal(S))) * eye
-    return inverse(jnp.where(tight[:, None] & tight[None, :], S, eye))
+    unit = jnp.where(tight, _units(S), 1.0)
+    both = unit[:, None] * unit[None, :]
+    own = S / both + _SHARED * eye
+    return inverse(jnp.where(tight[:, None] & tight[None, :], own, eye)) / both
+
+
+def _units(S):
+    """Of gaps, (m,): with gaps in these and multipliers in their inverse, S has ones on its
+    diagonal."""
+    diagonal = jnp.abs(jnp.diagonal(S))
+    return jnp.sqrt(jnp.maximum(jnp.maximum(diagonal, _LEAST * jnp.max(diagonal)), 1e-300))

@@ -27,6 +27,7 @@ from softrod_jax.foundation.products import product
 from softrod_jax.rod.constants import Rod, Scalar, joined
 from softrod_jax.rod.energies import AbstractTerm, Density, Dissipated, TendonPull
 from softrod_jax.rod.fibres import FibreEnergy, Fibres
+from softrod_jax.rod.own_conditions import Held
 from softrod_jax.rod.relaxation import Crept
 from softrod_jax.rod.rotations import cross
 
@@ -125,7 +126,9 @@ def _terms(rod: Rod, c0: Scalar | None, strain_history: Strain | None) -> tuple[
     if rod.material is not None:
         terms.append(Density(rod.material, rod.s, rod.reach, None, v, rod.plane))
     for energy in rod.energies or ():
-        terms.append(Density(energy, rod.s, rod.reach, rod.load_factor, v, rod.plane))
+        # What holds the rod is as large as it must be, and no load.
+        factor = None if isinstance(energy, Held) else rod.load_factor
+        terms.append(Density(energy, rod.s, rod.reach, factor, v, rod.plane))
     if c0 is not None and strain_history is not None:
         moving = c0, strain_history, v is None, rod.plane
         terms += [Dissipated(x, rod.s, rod.reach, *moving) for x in rod.dissipations or ()]

@@ -174,4 +174,14 @@ def tensions_of(
     if given is not None:
         others = [i for i in range(scene.tendons.count) if i not in by_length]
         tensions = tensions.at[..., jnp.array(others)].set(given)
-    return tensions if found is None else tensions.at[..., jnp.array(by_length)].set(found)
+    if found is None or not by_length:
+        return tensions
+    return tensions.at[..., jnp.array(by_length)].set(found[..., : len(by_length)])
+
+
+def held_of(scene: Scene, found: Float[Array, "*rows _"] | None, rows: tuple[int, ...] = ()):
+    """What holds the conditions of a scene, (*rows, conditions): multipliers after the tensions."""
+    count = len(scene.conditions or ())
+    if found is None or not count:
+        return jnp.zeros((*rows, 0))
+    return found[..., found.shape[-1] - count :]

@@ -24,6 +24,7 @@ from softrod_jax.rod.grid import (
     places_of,
     uniform_grid,
 )
+from softrod_jax.rod.own_conditions import with_conditions
 from softrod_jax.rod.rotations import to_body
 from softrod_jax.scene.acting import AbstractEnergy
 from softrod_jax.scene.inputs import Inputs
@@ -103,13 +104,15 @@ def make_rod(
         energies=scene.energies,
         distributed_loads=loads,
         load_factor=None if own == (None, None) else one,
-        s=None if all(x is None for x in (material, damping, *own)) else grid.s,
+        s=None if all(x is None for x in (material, damping, *own, scene.conditions)) else grid.s,
         radius=None if scene.contacts is None else radius_along(scene, grid),
         plane=plane,
     )
     rod = rod if dynamic else rod.relaxed
     if not no_tendons:
         rod = _with_tendons_own(scene, rod, pulls)
+    if scene.conditions is not None:
+        rod = with_conditions(rod, scene.conditions)
     if plane is None:
         return rod
     # Nothing depends on the attitude without dead loads.

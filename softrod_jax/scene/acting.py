@@ -6,7 +6,7 @@ continuation, motions, gradients and batches follow from it.
 """
 
 import abc
-from typing import ClassVar, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import equinox as eqx
 from jaxtyping import Array, Float
@@ -38,6 +38,23 @@ class AbstractDissipation(eqx.Module):
     @abc.abstractmethod
     def potential(self, v_t: Float[Array, "3"], u_t: Float[Array, "3"], s: Scalar) -> Scalar:
         """Psi [N/s] for the rates v_t [1/s] and u_t [1/(m s)] at arc length `s` [m]."""
+
+
+class AbstractCondition(eqx.Module):
+    """A condition on the whole rod: the integral of W(v, u) along it never exceeds `limit`.
+
+    Where it would, the rod is held: by x times the derivatives of W, a force [N] and a moment [N m]
+    of each section in the body frame, with the smallest x >= 0 that does, which is an unknown of
+    the whole rod. W must be convex. A cord along the rod that may not become longer is one, as is
+    a stop for the rod's whole bend. x is in `StaticSolution.held` and `Trajectory.held`, in N m
+    per unit of what W integrates to.
+    """
+
+    limit: eqx.AbstractVar[Any]
+
+    @abc.abstractmethod
+    def density(self, v: Float[Array, "3"], u: Float[Array, "3"], s: Scalar) -> Scalar:
+        """W, per unit of rod, for the strains v [-] and u [1/m] at arc length `s` [m]."""
 
 
 class Here(NamedTuple):

@@ -23,7 +23,7 @@ _USUAL |= {"base_moves": False, "moves": False}
 _OTHERS = (
     *("segments", "tendons", "chambers", "payload", "tip_load"),
     *("loads", "masses", "markers"),
-    *("energies", "dissipations", "distributed_loads", "contacts"),
+    *("energies", "dissipations", "distributed_loads", "conditions", "contacts"),
 )
 
 
@@ -36,7 +36,7 @@ def described(scene: eqx.Module) -> str:
         if part is None:
             continue
         if isinstance(part, tuple | list):
-            own = name in ("energies", "dissipations", "distributed_loads")
+            own = name in ("energies", "dissipations", "distributed_loads", "conditions")
             lines += _counted(name, [_value(x, ANY) if own else _inline(x) for x in part])
         elif _has_rows(part):
             lines += _counted(name, [_row(part, i) for i in range(part.count)])

@@ -21,7 +21,12 @@ from softrod_jax.foundation.numbers import (
     ScalarLike,
     VectorLike,
 )
-from softrod_jax.scene.acting import AbstractDissipation, AbstractDistributedLoad, AbstractEnergy
+from softrod_jax.scene.acting import (
+    AbstractCondition,
+    AbstractDissipation,
+    AbstractDistributedLoad,
+    AbstractEnergy,
+)
 from softrod_jax.scene.chambers import Chambers
 from softrod_jax.scene.contacts import Contact
 from softrod_jax.scene.loads import DEAD_LOAD, Load, Marker, Mass, Payload, TipLoad
@@ -55,7 +60,8 @@ class Scene(eqx.Module):
     - `section_at_end`: the section at the tip, to which its dimensions change linearly.
     - `material` instead of the moduli: `NeoHookean` or `MooneyRivlin` for rubber and silicone, or a
       law of one's own, see `AbstractEnergy`. `energies`, `dissipations` and `distributed_loads`:
-      whatever else acts, see these classes' interfaces.
+      whatever else acts, see these classes' interfaces. `conditions`: what the whole rod keeps to,
+      see `AbstractCondition`.
     - `contacts`: obstacles that the rod may touch, whose sections must then be round.
     - `stiffness` instead of the moduli and `linear_density` [kg/m] instead of the density.
     - `bending_damping` B_bt [N m^2 s] and `shear_damping` B_se [N s]: Kelvin-Voigt, a number
@@ -117,6 +123,7 @@ class Scene(eqx.Module):
     energies: Sequence[AbstractEnergy] | None = None
     dissipations: Sequence[AbstractDissipation] | None = None
     distributed_loads: Sequence[AbstractDistributedLoad] | None = None
+    conditions: Sequence[AbstractCondition] | None = None
     contacts: Sequence[Contact] | None = None
     base_moves: bool = eqx.field(static=True, default=False)
     inextensible: bool = eqx.field(static=True, default=False)
@@ -126,7 +133,7 @@ class Scene(eqx.Module):
         if self.segments is not None:
             self.segments = tuple(self.segments)
             self.length = total_length(self.segments)
-        several = ("energies", "dissipations", "distributed_loads", "contacts")
+        several = ("energies", "dissipations", "distributed_loads", "conditions", "contacts")
         for name in ("loads", "masses", "markers", *several):
             parts = getattr(self, name)
             setattr(self, name, tuple(parts) if parts else None)

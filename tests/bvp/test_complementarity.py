@@ -41,6 +41,20 @@ def test_random_problems_have_the_one_answer(m):
             assert np.all(np.asarray(x)[known == 0] == 0)
 
 
+def test_units_do_not_matter():
+    """Gaps in metres beside gaps in radians: conditions of different kinds on one rod."""
+    rng = np.random.default_rng(7)
+    unit = np.array([1e-5, 1.0, 1e4])
+    for _ in range(20):
+        B = rng.normal(size=(3, 3))
+        S, q = B @ B.T + 0.05 * np.eye(3), rng.normal(size=3)
+        (known,) = by_trial(S, q)
+        x = solved(unit[:, None] * S * unit, unit * q, jnp.zeros(3, bool)) * unit
+        np.testing.assert_allclose(x, known, atol=1e-7 * max(1.0, np.abs(known).max()))
+    against = unit[:2, None] * np.array([[1.0, -1.0], [-1.0, 1.0]]) * unit[:2]
+    assert np.all(np.isnan(solved(against, -unit[:2], jnp.zeros(2, bool))))
+
+
 def test_conditions_that_are_the_same_share():
     """Four tendons in one section: three directions, and one tension too many."""
     B = np.array([[1.0, 0, 1], [0, 1, 1], [-1, 0, 1], [0, -1, 1]])

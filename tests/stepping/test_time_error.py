@@ -12,8 +12,8 @@ import softrod_jax as sr
 from softrod_jax.rod.reduction import make_rod
 from softrod_jax.rod.rotations import to_base
 from softrod_jax.scene.scene import as_arrays
+from softrod_jax.stepping.first_mode import moved_by_speed, rate_of_change
 from softrod_jax.stepping.step_control import run_checked
-from softrod_jax.stepping.time_error import rate_of_change
 
 # Tips after 5, 10, 15 and 20 steps, and at the end of the other motion: from explicit finite
 # differences of a discrete Lagrangian, known to 1e-3 and 3e-3 lengths.
@@ -183,6 +183,63 @@ def test_every_step_is_divided_for_a_motion_that_tells_an_error(options):
     assert motion.result == sr.RESULTS.successful
     off = np.max(np.linalg.norm(motion.tip_positions - fine.tip_positions, axis=1)) / scene.length
     assert off < 3 * motion.stats["time_error"][-1]
+
+
+def pulled_next_to_its_axis():
+    """A thin rod whose tendons, at 4 % of its length from each other, are pulled in the first step.
+
+    It turns fast then, and by the end of that step it has hardly moved.
+    """
+    scene = sr.Scene(
+        length=0.063,
+        section=sr.Circle(8e-4),
+        young_modulus=9.27e8,
+        poisson_ratio=0.483,
+        density=2930.0,
+        bending_damping=4.33e-7,
+        shear_damping=2.71,
+        gravity=[11.0, -11.5, -53.2],
+        tendons=sr.Tendons(
+            [[-6.5e-5, -3.235e-4], [3.127e-4, 1.054e-4], [-2.476e-4, 2.181e-4]], control="length"
+        ),
+    )
+    return as_arrays(scene), np.tile([1.25e-3, -4.7e-4, -5.5e-5], (10, 1))
+
+
+def test_errors_of_a_speed_with_which_tendons_start_a_rod_are_seen():
+    """The estimate by places alone is a tenth of the error."""
+    scene, pulls = pulled_next_to_its_axis()
+    given, fine = (
+        sr.simulate(scene, 2.84e-4, pulls=pulls, substeps=k, max_time_error=np.inf) for k in (1, 32)
+    )
+    off = np.linalg.norm(given.tip_positions - fine.tip_positions, axis=1).max() / scene.length
+    assert off > 1.5e-2
+    assert off / 2 < given.stats["time_error"][-1] < 10 * off
+
+
+# Solutions of cos x cosh x = -1, and the size of their modes' sine parts.
+@pytest.mark.parametrize(
+    "root, weight, known", [(1.8751041, 0.7340955, 1.0), (4.6940911, 1.0184673, 0.0)]
+)
+def test_a_speed_moves_the_tip_by_what_its_first_mode_does(root, weight, known):
+    """Of a straight uniform rod: speed over frequency, and hardly anything of the second mode."""
+    scene = as_arrays(
+        sr.Scene(
+            length=LENGTH, section=sr.Circle(RADIUS), young_modulus=YOUNG, poisson_ratio=0.3,
+            density=DENSITY, payload=None,
+        )
+    )  # fmt: skip
+    method = sr.Collocation(20).fitted(scene)
+    grid = method.grid(scene)
+    rod = make_rod(scene, grid=grid)
+    x = np.asarray(method.outputs(grid.s)) * root / LENGTH
+    shape = np.cosh(x) - np.cos(x) - weight * (np.sinh(x) - np.sin(x))
+    along = np.broadcast_to([0.0, 0.0, 1.0], (len(x), 3))
+    first = 1.8751041**2 * np.sqrt(EI_LL / OWN_MASS / LENGTH)
+    # Along the rod it is stretch, and no bending.
+    speed = (0.3 * shape / shape[-1])[:, None] * [0.6, -0.8, 0.0] + along
+    moved = moved_by_speed(jnp.array(speed), jnp.array(along), rod, method)
+    np.testing.assert_allclose(moved * LENGTH * first / 0.3, known, atol=0.04)
 
 
 @pytest.fixture(scope="module")
