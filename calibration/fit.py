@@ -11,13 +11,15 @@ import jax.numpy as jnp
 import softrod_jax as sr
 from calibration.data.frames import in_one_frame
 from calibration.data.recording import Recording
+from calibration.experiment.hand import held_by_hands
 from calibration.inference.explain import explain_residuals
 from calibration.inference.first_look import check_axes
 from calibration.inference.profile import profile_likelihoods
 from calibration.inference.refinement import refine_until_resolved
+from calibration.parameters.catalogue import choose, prepared
 from calibration.parameters.materials import check_material
 from calibration.parameters.priors import checked_pairs
-from calibration.parameters.unknowns import choose_unknowns, with_frame
+from calibration.parameters.unknowns import choose_unknowns, conditioned, with_frame
 from calibration.postures.beside import equilibria_fit, with_equilibria
 from calibration.postures.data import Postures
 from calibration.problem.dataset import datasets
@@ -116,7 +118,8 @@ def calibrate(
     - `program`: names, those of `fit` among them, of which further fits of the same scene will fit
       others (`calibration.comparison`): they share a compiled program.
 
-    A recording without inputs is a release: the rod is held straight until it is let go. One
+    A recording without inputs is a release: the rod is held straight until it is let go, or, where
+    hand_force is fitted, and hand_moment, in an equilibrium under these at its tip. One
     with inputs starts straight, or hanging in equilibrium, as its samples before the first
     movement tell (`calibration.experiment.beginning`).
     Ctrl-C ends the optimisation early and keeps the best point.
@@ -138,6 +141,10 @@ def calibrate(
         recordings, held_out = in_one_frame(recordings, held_out)
         fit = with_frame(scene, fit)
         program = None if program is None else tuple(dict.fromkeys((*program, *fit)))
+    as_told = lambda r: conditioned(prepared(scene, r.conditions), r.conditions)
+    recordings, held_out = (
+        held_by_hands(as_told, part, choose(scene, fit)) for part in (recordings, held_out)
+    )
     data, unseen = datasets(scene, recordings, held_out, window, drift)
     resolution = Resolution(data, dt, method, tolerance)
     setup, parameters = choose_unknowns(
