@@ -22,6 +22,7 @@
     offset = -12.0                      # added first, in the file's unit
     scale = 1.0                         # then multiplied with: units a volt of a sensor, or -1
     time = { column = "t_daq", unit = "s" }  # if it has a clock of its own
+    before = 0.0                        # what it was, in the file's unit, before the first sample
     file = "commands.csv"               # if it is in another file of the same folder, whose clock
                                         # is described by [time], or by its own time
     [[pressures]]
@@ -99,6 +100,8 @@ from calibration.data.text_tables import TextOptions
 from calibration.data.trials import cut, trial_axis, trials_of
 from softrod_jax.scene.inputs import KINDS
 
+# Part of an interval in which a command jumps.
+_JUMP = 1e-3
 _FILL = "fill it in or delete the row"
 
 
@@ -258,10 +261,12 @@ def _input(table: Table, clock: TimeColumn, part: Spec, kind: str):
         name = f"{part.where}steps"
         times = clock.of(max(len(x) for x in table.columns.values()), name)
         values = stepped(part, steps, times)
+    before = part.number("before", None)
     given = part.number("scale", None)
     scale, offset = 1.0 if given is None else given, part.number("offset", 0.0)
     own = [] if steps is not None else [name]
-    values = factor(table, part, kind, own, given is not None) * scale * (values + offset)
+    unit = factor(table, part, kind, own, given is not None) * scale
+    values = unit * (values + offset)
     part.done()
     there = ~np.isnan(times)
     for k in np.flatnonzero(there & ~np.isfinite(values))[:1]:
@@ -274,7 +279,14 @@ def _input(table: Table, clock: TimeColumn, part: Spec, kind: str):
             f"{table.path}: column {name}: no sample has a time; say its clock in {part.where}time"
         )
     labels = [table.row(int(k), len(values)) for k in np.flatnonzero(there)]
-    return name, times[there], values[there], labels, f"{part.where}time."
+    times, values = times[there], values[there]
+    if before is not None:
+        # One sample earlier, and held until next to the first one, at which it jumps.
+        lead = times[0] - (times[1] - times[0]) * np.array([1.0, _JUMP]) if len(times) > 1 else []
+        times = np.concatenate([np.asarray(lead, times.dtype), times])
+        values = np.concatenate([[unit * (before + offset)] * len(lead), values])
+        labels = [*[f"before {labels[0]}"] * len(lead), *labels]
+    return name, times, values, labels, f"{part.where}time."
 
 
 def _check_counts(mapping, inputs, scene) -> None:

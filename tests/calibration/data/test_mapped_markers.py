@@ -123,6 +123,14 @@ def test_inputs_from_a_file_of_their_own_clock(tmp_path):
     expected = scale * np.interp(0.01 * np.arange(6), 0.02 * np.arange(3), degrees)
     np.testing.assert_allclose(read.pulls, np.stack([expected, -expected], 1), atol=1e-15)
     np.testing.assert_allclose(read.tip_positions, tip, atol=1e-12)
+    # Commanded from the first row on, at which it jumps.
+    jumps = MAPPING + INPUTS.format(scale=scale)
+    log, *_ = capture(tmp_path, jumps.replace("rate = 50.0 }", "rate = 50.0 }\nbefore = -20.0"))
+    read = load_recording(log, SCENE)
+    at = lambda t: np.interp(t, read.times, read.pulls[:, 0])
+    then = [at(-0.01), at(-1e-4), at(0.0)]
+    np.testing.assert_allclose(then, scale * np.array([-20.0, -20.0, 0.0]), atol=1e-12)
+    assert np.isnan(read.tip_positions[read.times < 0]).all()
     trials = '[trials]\ncolumn = "qw"\n'
     log, *_ = capture(tmp_path, MAPPING + INPUTS.format(scale=scale) + trials, _two_trials)
     with pytest.raises(RecordingError, match="trials of a file have inputs in columns"):
