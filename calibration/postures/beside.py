@@ -20,12 +20,14 @@ class Equilibria(AbstractBeside):
     """Postures as a part of a problem of motions.
 
     - `places`: of each of the model's parameters the unknown that it is.
-    - `scale`: the noise of an independent number, in terms of what was stated.
+    - `scale`: the noise of an independent number, in terms of what was stated. `effective`: how
+      many there are of them, as far as it is known.
     """
 
     model: Model
     places: Sequence[int]
     scale: float = 1.0
+    effective: float = np.inf
     _known: dict[bytes, Evaluation] = field(default_factory=dict, repr=False)
 
     def evaluation(self, x: Float[np.ndarray, "unknowns"]) -> Evaluation:
@@ -50,9 +52,9 @@ class Equilibria(AbstractBeside):
     def weighed(self, x: Float[np.ndarray, "unknowns"]) -> "Equilibria":
         found = self.evaluation(x)
         count = np.sum(np.any(found.jacobian != 0, -1) | (found.residuals != 0))
-        together = float(count) / effective_of(self.model, found)
-        scale = max(noise_scale_of(found), LEAST_SCALE) * np.sqrt(together)
-        return replace(self, scale=float(scale))
+        effective = effective_of(self.model, found)
+        scale = max(noise_scale_of(found), LEAST_SCALE) * np.sqrt(float(count) / effective)
+        return replace(self, scale=float(scale), effective=effective)
 
 
 def with_equilibria(

@@ -141,10 +141,12 @@ class Point:
 class AbstractBeside(abc.ABC):
     """What was measured besides the recordings of a problem and depends on the same unknowns.
 
-    `scale`: its noise, in terms of what was stated.
+    `scale`: its noise, in terms of what was stated. `effective`: how many independent numbers it
+    is worth.
     """
 
     scale: float
+    effective: float
 
     @abc.abstractmethod
     def rows(

@@ -95,6 +95,12 @@ def recording_figure(recording: RecordingFit) -> Figure:
             axis.plot(
                 recording.times[outlier], measured[outlier], "x", color=_QUIET, label="outlier"
             )
+        if recording.band is not None:
+            low, high = (mm(end) for end in recording.band)
+            label = "95 % expected"
+            axis.fill_between(
+                recording.times, low, high, color=_SIMULATED, alpha=0.15, lw=0, label=label
+            )
         axis.plot(
             recording.curve_times, mm(recording.curve), color=_SIMULATED, lw=1, label="simulated"
         )

@@ -12,6 +12,7 @@ from calibration.data.selection import Selection
 from calibration.experiment.drift import Drift
 from calibration.experiment.setup import Setup
 from calibration.inference.explain import Explanation
+from calibration.inference.posterior import Posterior
 from calibration.inference.profile import Profile
 from calibration.inference.uncertainty import IDENTIFIED
 from calibration.report.text import html_table, summary_text
@@ -108,6 +109,8 @@ class RecordingFit:
     - `frame_fitted`: they were fitted to this recording; else, where it was kept aside, they are
       those of the fitted ones, and `rmse_own_frame` [m] is what a frame of its own would leave.
     - `motion`: the rod's motion, for plots and films.
+    - `band` [m], two of (n, 3): between which ends 95 % of samples of the tip are expected, by the
+      spread of the posterior and the noise; None where no posterior was asked for.
     """
 
     name: str
@@ -131,6 +134,7 @@ class RecordingFit:
     beginning: str = ""
     frame_fitted: bool = True
     rmse_own_frame: float | None = None
+    band: tuple[np.ndarray, np.ndarray] | None = None
 
 
 @dataclass(frozen=True)
@@ -173,6 +177,7 @@ class Fit:
     - `priors`: mean and standard deviation of what was known beforehand, by parameter; `conflicts`:
       those that the recordings contradict, and by how many standard deviations.
     - `postures`: equilibria that were fitted as well; None without any.
+    - `posterior`: draws of it; None if nobody asked.
     - `checkpoint`: that of the fit, for `calibration.report.writing.write_report` to remove.
     - `seconds`: how long the fit took.
     """
@@ -203,6 +208,7 @@ class Fit:
     checkpoint: Checkpoint
     seconds: float
     postures: PosturesFit | None = None
+    posterior: Posterior | None = None
 
     def summary(self) -> str:
         """The parameters and what is left of each recording, as lines of text."""
