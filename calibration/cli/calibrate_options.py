@@ -112,7 +112,7 @@ def _add_postures(postures) -> None:
     postures.add_argument(
         "--posterior",
         choices=("laplace", "nuts"),
-        help="draws of the posterior, of motions or postures, by Laplace's approximation or by NUTS",
+        help="draws of the posterior, by Laplace's approximation or by NUTS",
     )
     postures.add_argument(
         "--draws", type=_count, metavar="N", help="with --posterior: how many draws (1000)"

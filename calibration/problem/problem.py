@@ -155,6 +155,10 @@ class AbstractBeside(abc.ABC):
         """Residuals in terms of their noise, and derivatives."""
 
     @abc.abstractmethod
+    def among(self, problem: "Problem") -> "AbstractBeside":
+        """The same of the unknowns of another problem, in which more is fitted."""
+
+    @abc.abstractmethod
     def weighed(self, x: Float[np.ndarray, "unknowns"]) -> "AbstractBeside":
         """The same with the noise that its residuals at `x` have."""
 

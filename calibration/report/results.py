@@ -144,6 +144,8 @@ class PosturesFit:
     - `name`, `source`: of the logs; `rows`, and of how many there is no equilibrium, `unsolved`.
     - `rmse_m` [m]: root mean square distance of all markers; `rmse_by_marker`, by name.
     - `noise_scale`: how many times larger residuals are than the noise that was stated.
+    - `simulated`, `measured` [m]: (rows, markers, 3), markers in the order of `rmse_by_marker`; NaN
+      where missing.
     """
 
     name: str
@@ -153,6 +155,8 @@ class PosturesFit:
     rmse_m: float
     rmse_by_marker: Mapping[str, float]
     noise_scale: float
+    simulated: Float[np.ndarray, "rows markers 3"]
+    measured: Float[np.ndarray, "rows markers 3"]
 
 
 @dataclass(frozen=True, eq=False)
