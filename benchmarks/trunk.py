@@ -1,11 +1,13 @@
 """A hose-like trunk that is let go by hand, and that motors drive: fits, and what is predicted.
 
-    python benchmarks/trunk.py FOLDER [releases] [relaxing] [motors] [commands]
+    python benchmarks/trunk.py FOLDER [held] [releases] [relaxing] [motors] [commands]
 
 `FOLDER`: `manual_decay_200g.csv`, `observations_controlled_3.csv` and
 `control_inputs_controlled_3.csv` of https://github.com/StanfordASL/trunk-stack: three discs on a
 hose, seen at 100 Hz by cameras whose y is up. The files are read as they are, by mappings.
 
+- `held`: how far the discs are from those of a rod that a force and a moment at the tip hold, and
+  how far apart the tip comes to rest.
 - `releases`: six of eight releases by hand from poses anywhere, 200 g at the tip, each with the
   force and the moment of the hand; the two others are predicted from where they were held.
   `relaxing`: with a branch of the stiffness that relaxes besides the viscous damping.
@@ -27,11 +29,14 @@ import jax
 
 jax.config.update("jax_enable_x64", True)
 
+import jax.numpy as jnp
 import numpy as np
 from report import machine
 
 import softrod_jax as sr
 from calibration import calibrate, load_recording, load_recordings
+from calibration.experiment.hand import HAND, hand_loads
+from calibration.experiment.setup import Setup
 from softrod_jax.scene.scene import as_arrays
 
 ENDS = (0.107, 0.204, 0.3235)  # m, of the discs, by how they hang
@@ -125,6 +130,30 @@ def pulls(folder: Path, commands: bool) -> str:
     return text
 
 
+def held(folder: Path) -> None:
+    """Each release before it begins, and all of them when they are over."""
+    scene = let_go(False)
+    path = folder / "manual_decay_200g.csv"
+    recordings = load_recordings(path, scene, mapping=mapping(SEEN + TRIALS))
+    for r in recordings:
+        loads = np.array(list(hand_loads(Setup(scene), r, HAND).values()))
+        load = sr.TipLoad(jnp.asarray(loads[:3]), jnp.asarray(loads[3:]))
+        still = sr.solve_static(replace(scene, tip_load=load), method=sr.Collocation(4))
+        apart = [
+            np.linalg.norm(still.markers[name].position - seen[0])
+            for name, seen in (
+                ("third", r.others["third_position"]),
+                ("two_thirds", r.others["two_thirds_position"]),
+                ("tip", r.tip_positions),
+            )
+        ]
+        told = ", ".join(f"{1e3 * x:.1f}" for x in apart)
+        print(f"held {r.name}: discs off by {told} mm; {np.round(loads, 2)} N, N m")
+    ends = np.array([np.nanmean(r.tip_positions[-20:], axis=0) for r in recordings])
+    pairs = np.linalg.norm(ends[:, None] - ends, axis=-1)
+    print(f"at rest in the end up to {1e3 * np.max(pairs):.0f} mm apart")
+
+
 def releases(folder: Path, relaxing: bool) -> None:
     """Six releases fitted, two predicted."""
     scene = let_go(relaxing)
@@ -190,7 +219,9 @@ if __name__ == "__main__":
     args = parser.parse_args()
     print(machine())
     for which in args.which:
-        if which in ("releases", "relaxing"):
+        if which == "held":
+            held(args.folder)
+        elif which in ("releases", "relaxing"):
             releases(args.folder, which == "relaxing")
         else:
             motors(args.folder, which == "commands")
