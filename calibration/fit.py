@@ -11,13 +11,17 @@ import jax.numpy as jnp
 import softrod_jax as sr
 from calibration.data.frames import in_one_frame
 from calibration.data.recording import Recording
+from calibration.experiment.hand import held_by_hands
 from calibration.inference.explain import explain_residuals
 from calibration.inference.first_look import check_axes
+from calibration.inference.motion_posterior import check_problem, posterior_of
+from calibration.inference.posterior import check_posterior
 from calibration.inference.profile import profile_likelihoods
 from calibration.inference.refinement import refine_until_resolved
+from calibration.parameters.catalogue import choose, prepared
 from calibration.parameters.materials import check_material
 from calibration.parameters.priors import checked_pairs
-from calibration.parameters.unknowns import choose_unknowns, with_frame
+from calibration.parameters.unknowns import choose_unknowns, conditioned, with_frame
 from calibration.postures.beside import equilibria_fit, with_equilibria
 from calibration.postures.data import Postures
 from calibration.problem.dataset import datasets
@@ -64,6 +68,8 @@ def calibrate(
     method: sr.Collocation | None = None,
     program: Sequence[str] | None = None,
     postures: Postures | None = None,
+    posterior: str | None = None,
+    draws: int = 1000,
 ) -> Fit:
     """Fit numbers of `scene`, and of the bench around it, so that its tip moves as recorded.
 
@@ -113,10 +119,13 @@ def calibrate(
       grid along the rod is found like `dt`.
     - `postures`: equilibria of the same robot, fitted together with the recordings, to the
       parameters that all of these share. How large the noise of each is its residuals tell.
+    - `posterior`: "laplace" or "nuts" for so many `draws` of the posterior, with `seed`
+      (`calibration.inference.motion_posterior`), and bands of what samples are expected in.
     - `program`: names, those of `fit` among them, of which further fits of the same scene will fit
       others (`calibration.comparison`): they share a compiled program.
 
-    A recording without inputs is a release: the rod is held straight until it is let go. One
+    A recording without inputs is a release: the rod is held straight until it is let go, or, where
+    hand_force is fitted, and hand_moment, in an equilibrium under these at its tip. One
     with inputs starts straight, or hanging in equilibrium, as its samples before the first
     movement tell (`calibration.experiment.beginning`).
     Ctrl-C ends the optimisation early and keeps the best point.
@@ -126,9 +135,11 @@ def calibrate(
     the same arguments; each gets the whole fit.
 
     Raises `ValueError` for bad arguments, `RecordingError` for recordings that cannot be used,
-    `CalibrationError` if nothing can be simulated from the scene's values.
+    `ImportError` for NUTS without blackjax, `CalibrationError` if nothing can be simulated from the
+    scene's values.
     """
     begun = time.perf_counter()
+    check_posterior(posterior, draws)
     options = SearchOptions(optimiser, loss, starts, seed, max_iterations)
     check_material(material)
     if resume:
@@ -138,6 +149,10 @@ def calibrate(
         recordings, held_out = in_one_frame(recordings, held_out)
         fit = with_frame(scene, fit)
         program = None if program is None else tuple(dict.fromkeys((*program, *fit)))
+    as_told = lambda r: conditioned(prepared(scene, r.conditions), r.conditions)
+    recordings, held_out = (
+        held_by_hands(as_told, part, choose(scene, fit)) for part in (recordings, held_out)
+    )
     data, unseen = datasets(scene, recordings, held_out, window, drift)
     resolution = Resolution(data, dt, method, tolerance)
     setup, parameters = choose_unknowns(
@@ -156,6 +171,7 @@ def calibrate(
     problem = resolution.first_problem(setup, parameters, time_offset, scheme)
     problem = replace(problem, priors=checked_pairs("priors", priors, known))
     problem = with_equilibria(problem, postures, method)
+    check_problem(problem, posterior)
     with Bar() if progress else Silent() as meter:
         meter.stage("steps and grid", None)
         problem = choose_resolution(problem, resolution)
@@ -169,6 +185,10 @@ def calibrate(
         curves = profile_likelihoods(best, resolved.uncertainty, profiled, history)
         reasons = explain_residuals(best, data, per_recording, bounds, history) if explain else None
         predicted = held_out_fits(best, unseen, dt)
+        drawn = None
+        if posterior is not None:
+            history.stage("posterior", None)
+            drawn = posterior_of(best, resolved.uncertainty, posterior, draws, seed)
         history.result(best)
     return assemble_fit(
         resolved,
@@ -181,5 +201,6 @@ def calibrate(
         held_out=predicted,
         material=material,
         postures=equilibria_fit(resolved.best),
+        posterior=drawn,
         seconds=time.perf_counter() - begun,
     )

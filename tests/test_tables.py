@@ -18,6 +18,7 @@ MOTION = SimpleNamespace(
     strains=rng.normal(size=(4, 3, 6)),
     velocities=rng.normal(size=(4, 3, 6)),
     tensions=rng.normal(size=(4, 2)),
+    base_wrenches=rng.normal(size=(4, 6)),
     markers={name: SimpleNamespace(positions=rng.normal(size=(4, 3))) for name in ("tip", "m1")},
 )
 
@@ -30,7 +31,10 @@ def test_a_frame_has_a_row_for_each_time():
     assert np.array_equal(frame["tip_vy_m_s"], MOTION.tip_velocities[:, 1])
     assert np.array_equal(frame["tension2_N"], MOTION.tensions[:, 1])
     assert np.array_equal(frame["m1_z_m"], MOTION.markers["m1"].positions[:, 2])
-    assert len(frame.columns) == 3 + 3 + 3 + 2
+    wrench = [f"base_{q}{a}" for q in "fm" for a in "xyz"]
+    columns = [f"{name}_{'N' if name[5] == 'f' else 'Nm'}" for name in wrench]
+    assert np.array_equal(frame[columns], MOTION.base_wrenches)
+    assert len(frame.columns) == 3 + 3 + 3 + 2 + 6
 
 
 def test_a_data_set_has_the_whole_rod():
@@ -41,4 +45,7 @@ def test_a_data_set_has_the_whole_rod():
     assert np.array_equal(picked, MOTION.strains[:, 1, 4])
     tip = data["position"].sel(s=0.1).interp(time=0.15)
     np.testing.assert_allclose(tip, (MOTION.positions[1, 2] + MOTION.positions[2, 2]) / 2)
+    assert np.array_equal(
+        data["base_wrench"].sel(wrench_component="mx"), MOTION.base_wrenches[:, 3]
+    )
     assert data["position"].attrs["units"] == "m"

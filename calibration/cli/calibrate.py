@@ -16,6 +16,7 @@ from calibration.cli.calibrate_options import add_arguments as add_arguments
 from calibration.cli.common import (
     UsageError,
     bound_in,
+    check_posterior_options,
     names_in,
     note,
     prepare_jax,
@@ -35,9 +36,9 @@ def run(args) -> int:
         from calibration.cli.postures import run_postures
 
         return run_postures(args)
-    for name in ("folds", "posterior", "draws"):
-        if getattr(args, name) is not None:
-            raise UsageError(f"--{name}: for --postures only; leave it out")
+    if args.folds is not None:
+        raise UsageError("--folds: for --postures only; leave it out")
+    check_posterior_options(args)
     scene_path, log_paths = (args.scene, args.logs) if args.scene else _example()
     if not log_paths:
         raise UsageError("no recordings: give at least one LOG after the scene")
@@ -50,6 +51,8 @@ def run(args) -> int:
             reads(part)
     if args.compare is not None and args.with_postures:
         raise UsageError("--with-postures: not with --compare, which does not count them")
+    if args.compare is not None and args.posterior is not None:
+        raise UsageError("--posterior: not with --compare: ask for that of the model it chooses")
     if args.compare is not None and args.resume:
         raise UsageError("--resume: not with --compare, which keeps no checkpoints; leave one out")
     prepare_jax()
@@ -111,6 +114,7 @@ def _fitted(args, scene, recordings, held_out, out: Path):
     if args.compare is None:
         kept = dict(checkpoint=out / _CHECKPOINT, resume=args.resume)
         kept |= dict(postures=_postures(args, scene))
+        kept |= dict(posterior=args.posterior, draws=args.draws or 1000)
         priors = _priors(args, scene)
         names = names_in(args.fit) or None
         return calibrate(scene, recordings, fit=names, priors=priors, **kept, **options), None

@@ -5,6 +5,7 @@ import json
 import math
 import os
 import sys
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -203,6 +204,14 @@ def check_writable(path: str, option: str = "--out") -> None:
         raise UsageError(f"{option} {path}: the directory {target.parent} does not exist")
     if not os.access(target if target.exists() else target.parent, os.W_OK):
         raise UsageError(f"{option} {path}: no permission to write there")
+
+
+def check_posterior_options(args) -> None:
+    """Raises `UsageError` for draws of no posterior, and for NUTS without its package."""
+    if args.draws is not None and args.posterior is None:
+        raise UsageError("--draws: of --posterior, which is not there; give it, or leave it out")
+    if args.posterior == "nuts" and find_spec("blackjax") is None:
+        raise UsageError("--posterior nuts: needs blackjax: pip install 'softrod_jax[posterior]'")
 
 
 def note(message: str) -> None:

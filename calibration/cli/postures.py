@@ -2,10 +2,16 @@
 
 import contextlib
 import os
-from importlib.util import find_spec
 from pathlib import Path
 
-from calibration.cli.common import UsageError, bound_in, names_in, prepare_jax, prior_in
+from calibration.cli.common import (
+    UsageError,
+    bound_in,
+    check_posterior_options,
+    names_in,
+    prepare_jax,
+    prior_in,
+)
 from calibration.cli.exclusive import alone_in
 from calibration.cli.waiting import waiting
 
@@ -30,10 +36,7 @@ def run_postures(args) -> int:
     for name in _FOR_MOTIONS:
         if getattr(args, name):
             raise UsageError(f"--{name.replace('_', '-')}: for motions only; leave it out")
-    if args.draws is not None and args.posterior is None:
-        raise UsageError("--draws: of --posterior, which is not there; give it, or leave it out")
-    if args.posterior == "nuts" and find_spec("blackjax") is None:
-        raise UsageError("--posterior nuts: needs blackjax: pip install 'softrod_jax[posterior]'")
+    check_posterior_options(args)
     if not args.fit and args.compare is None:
         raise UsageError("--fit: name what to fit, such as young_modulus,tendons[*].friction")
     bounds = dict(bound_in(text) for text in args.bounds or ())

@@ -36,6 +36,23 @@ def axes_matrix(axes: str, where: str) -> np.ndarray:
     return rows
 
 
+def quaternion_of_turn(matrix: np.ndarray) -> np.ndarray:
+    """The unit quaternion (w, x, y, z) of a rotation matrix (3, 3), by its largest component."""
+    r = np.asarray(matrix)
+    # Rows of 4 q q^T.
+    (a, b, c), (d, e, f), (g, h, i) = r
+    four = np.array(
+        [
+            [1 + a + e + i, h - f, c - g, d - b],
+            [h - f, 1 + a - e - i, b + d, c + g],
+            [c - g, b + d, 1 - a + e - i, f + h],
+            [d - b, c + g, f + h, 1 - a - e + i],
+        ]
+    )
+    row = four[np.argmax(np.diag(four))]
+    return row / np.linalg.norm(row)
+
+
 def from_base_markers(tip, seen, meant, where: str):
     """The tip (T, 3) in the scene's frame, and a note, by a rigid fit (Kabsch 1976).
 

@@ -22,6 +22,9 @@
     offset = -12.0                      # added first, in the file's unit
     scale = 1.0                         # then multiplied with: units a volt of a sensor, or -1
     time = { column = "t_daq", unit = "s" }  # if it has a clock of its own
+    before = 0.0                        # what it was, in the file's unit, before the first sample
+    file = "commands.csv"               # if it is in another file of the same folder, whose clock
+                                        # is described by [time], or by its own time
     [[pressures]]
     column = "P"
     unit = "kPa"
@@ -38,11 +41,20 @@
     columns = ["Fx", "Fy", "Fz"]        # "" for one that was not; offset, scale (to SI) and time as
                                         # of tensions
     noise = 0.02                        # N
+    [[measured]]                        # a marker of the scene, seen as the tip is: axes, origin
+    key = "middle_position"             # and unit are those of [tip], or unit its own
+    columns = ["X2", "Y2", "Z2"]
+    [[measured]]                        # how it, or the tip, was turned: w, x, y, z
+    key = "middle_attitude"
+    columns = ["Q2w", "Q2x", "Q2y", "Q2z"]
+    body_axes = "x,z,-y"                # which axes of the body are those of the section
     [conditions]                        # in what this experiment differs from the scene
     payload_mass = 0.052
     [trials]                            # of a file that holds several, each a recording
     column = "run"                      # rows with the same number or text belong together
     only = [1, 3]                       # which of them; absent: all
+                                        # or axis = 3: along which axis, counted from 1, arrays of
+                                        # three dimensions of a MAT or HDF5 file have trials
                                         # or windows = [[0.0, 3.5], [10.0, 14.0]]: start and end [s]
     [csv]                               # of text files
     delimiter = ";"                     # or "tab", "space"; found if absent, as the next three
@@ -66,10 +78,8 @@ from typing import Any
 
 import numpy as np
 
-from calibration.data import units
 from calibration.data.cells import NumberFormat
 from calibration.data.clocks import check_overlap, find_gaps
-from calibration.data.frames import axes_matrix, check_one_body, from_base_markers, from_rest
 from calibration.data.loads import without_noise_below_zero
 from calibration.data.mapped_columns import (
     TimeColumn,
@@ -80,17 +90,18 @@ from calibration.data.mapped_columns import (
     steps_of,
 )
 from calibration.data.mapped_measured import at_samples, measured_parts
+from calibration.data.mapped_tip import mapped_tip
 from calibration.data.mapping_file import Spec, read_toml
 from calibration.data.plausible import Source, check_pulls, check_reach
 from calibration.data.recording import Recording, RecordingError
-from calibration.data.rigid import tip_of_body
 from calibration.data.table import Table
 from calibration.data.tables import read_table
 from calibration.data.text_tables import TextOptions
-from calibration.data.trials import cut, trials_of
-from calibration.data.unseen import at_zero, base_is_zero
+from calibration.data.trials import cut, trial_axis, trials_of
 from softrod_jax.scene.inputs import KINDS
 
+# Part of an interval in which a command jumps.
+_JUMP = 1e-3
 _FILL = "fill it in or delete the row"
 
 
@@ -107,7 +118,8 @@ def read_mapped(
     be, naming its key.
     """
     spec = read_toml(mapping)
-    table = read_table(path, _text_options(spec.table("csv", required=False)))
+    axis = trial_axis(spec.table("trials", required=False))
+    table = read_table(path, _text_options(spec.table("csv", required=False)), axis)
     trials = trials_of(table, spec.table("trials", required=False))
     found = [_read(path, mapping, part, label, scene, need_tip) for label, part in trials.parts]
     return [part for recording in found for part in cut(recording, trials.windows)]
@@ -120,17 +132,25 @@ def _read(path, mapping, table: Table, label: str, scene, need_tip: bool) -> Rec
     spec.asked |= {"csv", "trials"}
     clock = TimeColumn(table, spec.table("time", required=table.interval is None))
     part = spec.table("tip", required=need_tip)
-    seen = _tip(table, spec, part, clock, scene) if part.content else None
+    seen = mapped_tip(table, spec, part, clock, scene) if part.content else None
+    other = _OtherFiles(path, spec)
     inputs = {
-        kind.name: [_input(table, part, kind.quantity, clock) for part in spec.tables(kind.name)]
+        kind.name: [
+            _input(*other.table_and_clock(part, table, clock, label), part, kind.quantity)
+            for part in spec.tables(kind.name)
+        ]
         for kind in KINDS
     }
-    measured = measured_parts(table, spec, clock, scene)
+    measured = measured_parts(table, spec, clock, scene, None if seen is None else seen.frame)
     conditions = spec.table("conditions", required=False).numbers()
     spec.done()
     if scene is not None:
         _check_counts(mapping, inputs, scene)
-    tip, clock_of_tip, notes, placed, source = seen or _without_tip(mapping, inputs)
+    if seen is None:
+        tip, clock_of_tip, notes, placed, source = _without_tip(mapping, inputs)
+    else:
+        tip, clock_of_tip, notes = seen.positions, seen.times, seen.notes
+        placed, source = seen.placed, seen.source
     clocks = [clock_of_tip, *(x.times for x in measured)]
     clocks, dated = one_zero(path, [*clocks, *(x[1] for p in inputs.values() for x in p)])
     clock_of_tip, others = clocks[0], iter(clocks[1:])
@@ -194,7 +214,7 @@ def _text_options(spec: Spec) -> TextOptions:
 
 
 def _without_tip(mapping, inputs):
-    """What `_tip` gives, of a file that has none: on the clock of the first input."""
+    """Tip, its times, notes and source of a file that has none: on the clock of the first input."""
     times = next((parts[0][1] for parts in inputs.values() if parts), None)
     if times is None:
         raise RecordingError(f"{mapping}: neither [tip] nor inputs: nothing would be read")
@@ -202,133 +222,33 @@ def _without_tip(mapping, inputs):
     return np.full((len(times), 3), np.nan), times, (), None, nothing
 
 
-def _tip(table: Table, spec: Spec, part: Spec, clock: TimeColumn, scene):
-    own = part.table("time", required=False)
-    clock = TimeColumn(table, own) if own.content else clock
-    key, triples = _triples(part)
-    missing = part.scalars("missing")
-    turn = axes_matrix(part.text("axes", "x,y,z"), part.where)
-    origin, rest = part.vector("origin", required=False), part.flag("rest")
-    positions = _positions(part, triples if key.endswith("markers") else None)
-    if origin is not None and rest:
-        raise RecordingError(f"{part.where}origin and {part.where}rest: one of them is too much")
-    if rest and scene is None:
-        raise RecordingError(
-            f"{part.where}rest = true: puts the rest at the scene's straight tip: give the scene"
-        )
-    found = [[table.find(name, "tip", key) if name else "" for name in names] for names in triples]
-    unit = factor(table, part, "length", [name for names in found for name in names if name])
-    part.done()
-    place = lambda names: _place(table, names, missing, unit, turn)
-    placed = [place(names) for names in found]
-    count = len(placed[0])
-    at = clock.of(count, next(name for name in found[0] if name))
-    labels = [table.row(k, count) for k in range(count)]
-    if any(len(p) != count for p in placed):
-        raise RecordingError(
-            f"{part.where}markers: their columns have different numbers of samples"
-        )
-    if scene is not None:
-        check_one_body(table.path, np.stack(placed, axis=1), [names[0] for names in found], scene)
-    seen, meant = _base_markers(table, spec, place, count)
-    notes, placed_by = [], None
-    always = origin is None and not rest and not seen and scene is not None and base_is_zero(scene)
-    for several in (placed, seen):
-        for k, p in enumerate(several):
-            several[k], note = at_zero(p, always=always)
-            notes += note
-    there = ~np.isnan(at)
-    tip = np.mean(placed, axis=0)
-    if positions is not None:
-        tip, note = tip_of_body(np.stack(placed, axis=1), positions, part.where)
-        notes.append(note)
-    tip, seen = tip[there], [s[there] for s in seen]
-    if seen:
-        tip, note = from_base_markers(tip, seen, meant, spec.where)
-        notes += note
-    elif origin is not None:
-        tip = tip - turn @ (unit * origin)
-    if rest:
-        tip, placed_by, note = from_rest(tip, scene, table.path)
-        notes.append(note)
-    now = next(name for name, size in units.UNITS["length"].items() if np.isclose(size, unit))
-    source = Source(
-        [label for label, use in zip(labels, there, strict=True) if use],
-        f"columns {', '.join(name or '(none)' for name in found[0])}",
-        unit="[tip] unit",
-        origin=None if rest or seen else "[tip] rest = true, or the clamp as [tip] origin",
-        now=now,
-    )
-    return tip, at[there], notes, placed_by, source
+class _OtherFiles:
+    """Files beside a recording, in which inputs were written, each read once."""
 
+    def __init__(self, path, spec: Spec):
+        self.folder, self.spec, self.read = Path(path).parent, spec, {}
 
-def _triples(part: Spec) -> tuple[str, list[list[str]]]:
-    """The key that names the tip's columns, and those of each marker, 3 each."""
-    columns = part.texts("columns", 3, required=False)
-    markers = part.get("markers", list, "a list of lists of 3 column names", None, False)
-    if (columns is None) == (markers is None):
-        raise RecordingError(f"{part.where}columns or {part.where}markers: one of them is needed")
-    triples = [columns] if columns is not None else markers or [[]]
-    text = lambda names: isinstance(names, list) and all(isinstance(x, str) for x in names)
-    for names in triples:
-        if not (text(names) and len(names) == 3 and any(names)):
-            raise part.wrong("markers", names, "3 column names, at least one not empty")
-    return f"{part.where}{'columns' if columns is not None else 'markers'}", triples
-
-
-def _positions(part: Spec, markers) -> np.ndarray | None:
-    """Where the markers are on the tip, (markers, 3) [m]; None if that is not said."""
-    what = "a list of 3 finite numbers for each of the markers"
-    given = part.get("positions", list, what, None, False)
-    if given is None:
-        return None
-    real = lambda x: isinstance(x, int | float) and not isinstance(x, bool) and abs(x) < np.inf
-    whole = all(isinstance(p, list) and len(p) == 3 and all(map(real, p)) for p in given)
-    if not whole or markers is None or len(given) != len(markers):
-        raise part.wrong("positions", given, what)
-    return np.array(given, dtype=float)
-
-
-def _base_markers(table: Table, spec: Spec, place, count: int):
-    """Where markers on the clamp were seen, (T, 3) [m] each, and where they are meant to be."""
-    seen, meant = [], []
-    for marker in spec.tables("base_markers"):
-        columns = marker.texts("columns", 3)
-        names = [table.find(name, "base", f"{marker.where}columns") for name in columns]
-        seen.append(place(names))
-        meant.append(marker.vector("position"))
-        marker.done()
-        if len(seen[-1]) != count:
+    def table_and_clock(self, part: Spec, table: Table, clock: TimeColumn, label: str):
+        """The table of the input `part` and its clock: those of the recording, unless `file` names
+        another file, whose clock [time] describes as well."""
+        name = part.text("file", None)
+        if name is None:
+            return table, clock
+        if label:
             raise RecordingError(
-                f"{marker.where}columns: {len(seen[-1])} samples, the tip has {count}"
+                f"{part.where}file: the trials of a file have inputs in columns of their own"
             )
-    return seen, meant
+        if name not in self.read:
+            content = self.spec.content
+            beside = read_table(
+                self.folder / name, _text_options(Spec(content.get("csv", {}), self.spec.where))
+            )
+            own = Spec(part.content.get("time", content.get("time", {})), f"{part.where}time.")
+            self.read[name] = beside, TimeColumn(beside, own)
+        return self.read[name]
 
 
-def _place(table: Table, names, missing, unit, turn) -> np.ndarray:
-    """A marker (T, 3) [m] in the scene's axes; NaN where it, or a coordinate, was not seen."""
-    count = len(table.columns[next(name for name in names if name)])
-    if any(name and len(table.columns[name]) != count for name in names):
-        raise RecordingError(
-            f"{table.path}: columns {', '.join(names)}: have different lengths; name others in "
-            "[tip] columns"
-        )
-    leave = "leave the cell empty if the sample is missing, or name its text in [csv] missing"
-    xyz = np.full((count, 3), np.nan)
-    for i, name in enumerate(names):
-        if name:
-            values = table.numbers(name, leave)
-            marks = [m for m in missing if not isinstance(m, str)]
-            xyz[:, i] = np.where(np.isin(values, marks), np.nan, values)
-    # The matrix has one entry in each row: NaN times zero must not spread to other axes.
-    return unit * np.stack([sign * xyz[:, i] for i, sign in _picked(turn)], axis=1)
-
-
-def _picked(turn):
-    return [(int(np.argmax(np.abs(row))), float(np.sum(row))) for row in turn]
-
-
-def _input(table: Table, part: Spec, kind: str, clock: TimeColumn):
+def _input(table: Table, clock: TimeColumn, part: Spec, kind: str):
     """Name, times and values [SI] of one actuator, without missing samples; labels, time's key."""
     own = part.table("time", required=False)
     clock = TimeColumn(table, own) if own.content else clock
@@ -341,10 +261,12 @@ def _input(table: Table, part: Spec, kind: str, clock: TimeColumn):
         name = f"{part.where}steps"
         times = clock.of(max(len(x) for x in table.columns.values()), name)
         values = stepped(part, steps, times)
+    before = part.number("before", None)
     given = part.number("scale", None)
     scale, offset = 1.0 if given is None else given, part.number("offset", 0.0)
     own = [] if steps is not None else [name]
-    values = factor(table, part, kind, own, given is not None) * scale * (values + offset)
+    unit = factor(table, part, kind, own, given is not None) * scale
+    values = unit * (values + offset)
     part.done()
     there = ~np.isnan(times)
     for k in np.flatnonzero(there & ~np.isfinite(values))[:1]:
@@ -357,7 +279,14 @@ def _input(table: Table, part: Spec, kind: str, clock: TimeColumn):
             f"{table.path}: column {name}: no sample has a time; say its clock in {part.where}time"
         )
     labels = [table.row(int(k), len(values)) for k in np.flatnonzero(there)]
-    return name, times[there], values[there], labels, f"{part.where}time."
+    times, values = times[there], values[there]
+    if before is not None:
+        # One sample earlier, and held until next to the first one, at which it jumps.
+        lead = times[0] - (times[1] - times[0]) * np.array([1.0, _JUMP]) if len(times) > 1 else []
+        times = np.concatenate([np.asarray(lead, times.dtype), times])
+        values = np.concatenate([[unit * (before + offset)] * len(lead), values])
+        labels = [*[f"before {labels[0]}"] * len(lead), *labels]
+    return name, times, values, labels, f"{part.where}time."
 
 
 def _check_counts(mapping, inputs, scene) -> None:

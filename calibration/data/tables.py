@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
+from calibration.data.arrays import stacked
 from calibration.data.c3d_points import read_points
 from calibration.data.recording import RecordingError
 from calibration.data.table import Table
@@ -20,8 +21,13 @@ _METADATA = ("__header__", "__version__", "__globals__")
 _MOST_COLUMNS = 64
 
 
-def read_table(path: str | PathLike, options: TextOptions = TextOptions()) -> Table:
+def read_table(
+    path: str | PathLike, options: TextOptions = TextOptions(), trial_axis: int | None = None
+) -> Table:
     """The columns of `path`; the options are for text.
+
+    `trial_axis`: along which axis of its arrays of three dimensions a MAT or HDF5 file has trials,
+    counted from 1 (`calibration.data.arrays`).
 
     Raises `RecordingError` if the file cannot be read, its package is not installed, or it holds
     no columns of numbers.
@@ -36,8 +42,11 @@ def read_table(path: str | PathLike, options: TextOptions = TextOptions()) -> Ta
         with open(path, "rb"):
             pass
         if kind is read_text:
-            return read_text(path, options)
-        table = kind(path)
+            table = read_text(path, options)
+        elif trial_axis is not None and kind in (_mat, _hdf5):
+            table = kind(path, trial_axis)
+        else:
+            table = kind(path)
     except OSError as e:
         raise RecordingError(
             f"{path}: cannot read the recording: {e.strerror or _first_line(e)}"
@@ -48,30 +57,38 @@ def read_table(path: str | PathLike, options: TextOptions = TextOptions()) -> Ta
         raise RecordingError(f"{path}: cannot read the recording: {e}") from None
     except MemoryError:
         raise RecordingError(f"{path}: does not fit into memory: cut it") from None
+    if trial_axis is not None and kind not in (_mat, _hdf5):
+        raise RecordingError(
+            f"{path}: [trials] axis = {trial_axis}: is for arrays of MAT and HDF5 files"
+        )
     if not table.columns:
         known = "".join(f"; {name} is {what}" for name, what in list(table.skipped.items())[:5])
         raise RecordingError(f"{path}: holds no columns of numbers{known}")
     return table
 
 
-def _mat(path) -> Table:
+def _mat(path, trial_axis: int | None = None) -> Table:
     try:
         from scipy.io import loadmat
     except ImportError:
         raise _missing(path, "MAT", "scipy", "mat") from None
     with open(path, "rb") as file:
         if file.read(128)[:19] == b"MATLAB 7.3 MAT-file":
-            return _hdf5(path)
+            return _hdf5(path, trial_axis)
     try:
         content = loadmat(str(path), simplify_cells=True)
     except Exception as e:  # scipy raises whatever it meets
         raise RecordingError(f"{path}: not a readable MAT file: {_first_line(e)}") from None
     columns: dict[str, np.ndarray] = {}
-    _collect("", {k: v for k, v in content.items() if k not in _METADATA}, columns)
+    content = {k: v for k, v in content.items() if k not in _METADATA}
+    if trial_axis is not None:
+        _arrays("", content, columns)
+        return Table(str(path), stacked(path, columns, trial_axis))
+    _collect("", content, columns)
     return Table(str(path), columns)
 
 
-def _hdf5(path) -> Table:
+def _hdf5(path, trial_axis: int | None = None) -> Table:
     try:
         import h5py
     except ImportError:
@@ -81,6 +98,9 @@ def _hdf5(path) -> Table:
 
     def visit(name, item):
         if not isinstance(item, h5py.Dataset):
+            return
+        if trial_axis is not None:
+            _arrays(name, np.asarray(item).T if matlab else np.asarray(item), columns)
             return
         if item.dtype.kind not in "fiu" or item.ndim not in (1, 2):
             skipped[name] = f"an array {item.shape} of {item.dtype}, not a column of numbers"
@@ -98,6 +118,8 @@ def _hdf5(path) -> Table:
             file.visititems(visit)
     except (OSError, RuntimeError, KeyError, ValueError, TypeError) as e:
         raise RecordingError(f"{path}: not a readable HDF5 file: {_first_line(e)}") from None
+    if trial_axis is not None:
+        columns = stacked(path, columns, trial_axis)
     return Table(str(path), columns, units=said, skipped=skipped)
 
 
@@ -189,6 +211,18 @@ def _collect(name: str, value, columns: dict) -> None:
     elif array.ndim == 2 and array.shape[1] <= _MOST_COLUMNS:
         for j, column in enumerate(array.T):
             columns[f"{name}[{j + 1}]"] = column
+
+
+def _arrays(name: str, value, arrays: dict) -> None:
+    """Numbers of one to three dimensions under their names, as they are."""
+    if isinstance(value, dict):
+        for key, part in value.items():
+            _arrays(f"{name}/{key}" if name else key, part, arrays)
+        return
+    array = np.asarray(value)
+    if array.dtype.kind in "fiu" and array.ndim in (1, 2, 3):
+        array = array.astype(float)
+        arrays[name] = np.squeeze(array) if array.ndim == 2 and 1 in array.shape else array
 
 
 def _missing(path, kind, package, extra) -> RecordingError:

@@ -8,6 +8,7 @@ from os import PathLike
 
 import numpy as np
 
+from calibration.data.arrays import TRIAL
 from calibration.data.mapping_file import Spec
 from calibration.data.recording import Recording, RecordingError
 from calibration.data.table import Table
@@ -24,6 +25,14 @@ class Trials:
     windows: tuple[tuple[float, float], ...] = ()
 
 
+def trial_axis(spec: Spec) -> int | None:
+    """Along which axis of a file's arrays its trials are, counted from 1; None where not said."""
+    axis = spec.whole("axis", None)
+    if axis is not None and axis not in (1, 2, 3):
+        raise spec.wrong("axis", axis, "1, 2 or 3")
+    return axis
+
+
 def trials_of(table: Table, spec: Spec) -> Trials:
     """The trials of a file, as [trials] of a mapping says.
 
@@ -31,6 +40,10 @@ def trials_of(table: Table, spec: Spec) -> Trials:
     """
     name, windows = spec.text("column", None), _windows(spec)
     only = [_label(x) for x in spec.scalars("only")]
+    if trial_axis(spec) is not None:
+        if name is not None:
+            raise RecordingError(f"{spec.where}column and {spec.where}axis: one is too much")
+        name = TRIAL
     spec.done()
     if name is not None and windows:
         raise RecordingError(f"{spec.where}column and {spec.where}windows: one of them is too much")

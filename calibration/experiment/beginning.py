@@ -16,6 +16,7 @@ from calibration.data.frames import straight_tip
 from calibration.data.onset import start_position, white_noise
 from calibration.data.recording import Recording
 from calibration.experiment.bulk import bulk
+from calibration.experiment.hand import held
 from calibration.experiment.setup import rotated
 from softrod_jax.scene.tendons import driven_by_length
 
@@ -35,6 +36,8 @@ _SWEEPS = 200
 
 def hangs(scene: sr.Scene, recording: Recording) -> bool:
     """Whether the rod begins in equilibrium under its loads, and not straight."""
+    if held(recording):
+        return True
     if recording.starts_hanging is not None:
         return recording.starts_hanging
     if not recording.has_inputs or np.count_nonzero(recording.has_tip) < 3:
@@ -65,6 +68,8 @@ def hangs(scene: sr.Scene, recording: Recording) -> bool:
 
 def beginning(recording: Recording, hanging: bool) -> str:
     """What is assumed of how a recording begins, in words."""
+    if held(recording):
+        return "bent, held by a hand at the tip until it lets go at once"
     if not recording.has_inputs:
         return "straight, held until it is let go"
     told = "" if recording.starts_hanging is None else ", as it was told"

@@ -28,6 +28,8 @@ class Setup(eqx.Module):
       parentheses.
     - `release_duration` [s]: how long a hand takes to let go, see `calibration.experiment.release`;
       of recordings without inputs only.
+    - `hand_force` [N] and `hand_moment` [N m], (3,): with which a hand held the tip, in the base
+      frame, until the motion begins, when it lets go at once, see `calibration.experiment.hand`.
     - `sensor_offset` [m], (3,): the marker seen from the tip, in the tip's own frame.
     - `payload_offset` [m], (3,): the payload's centre seen from the middle of the tip, in the frame
       of the straight rod's end. Of it only the moment of the weight is simulated, constant.
@@ -48,6 +50,8 @@ class Setup(eqx.Module):
     pull_lag: Float[Array, ""] | None = None
     pressure_gain: Float[Array, "2"] | None = None
     release_duration: Float[Array, ""] | None = None
+    hand_force: Float[Array, "3"] | None = None
+    hand_moment: Float[Array, "3"] | None = None
     sensor_offset: Float[Array, "3"] | None = None
     payload_offset: Float[Array, "3"] | None = None
     gravity_tilt: Float[Array, "3"] | None = None
@@ -55,6 +59,13 @@ class Setup(eqx.Module):
     clamp_shift: Float[Array, "3"] | None = None
     camera_rotation: Float[Array, "3"] | None = None
     camera_shift: Float[Array, "3"] | None = None
+
+    def __check_init__(self):
+        if self.is_held and self.release_duration is not None:
+            raise ValueError(
+                "release_duration is how long a hand follows a rod that it held straight; one that "
+                "holds it bent (hand_force, hand_moment) lets go at once: leave one of them out"
+            )
 
     def simulated_scene(self) -> sr.Scene:
         """The scene with gravity and clamp as they are in this experiment."""
@@ -92,6 +103,21 @@ class Setup(eqx.Module):
         if self.clamp_shift is not None:
             p = p + self.clamp_shift
         return jnp.concatenate([p, h], axis=1)
+
+    @property
+    def is_held(self) -> bool:
+        """Whether a hand holds the tip until the motion begins."""
+        return self.hand_force is not None or self.hand_moment is not None
+
+    def held_scene(self, scene: sr.Scene) -> sr.Scene:
+        """The scene as it is while a hand holds its tip."""
+        load = sr.TipLoad() if scene.tip_load is None else scene.tip_load
+        force, moment = (
+            a if b is None else b if a is None else a + b
+            for a, b in ((load.force, self.hand_force), (load.moment, self.hand_moment))
+        )
+        held = sr.TipLoad(force, moment)
+        return eqx.tree_at(lambda s: s.tip_load, scene, held, is_leaf=lambda x: x is None)
 
     def seen_direction(self, a: Float[Array, "*#n 3"]) -> Float[Array, "*#n 3"]:
         """A vector of the base frame as the cameras see it."""

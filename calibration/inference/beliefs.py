@@ -33,9 +33,10 @@ def weighed(outcome: Outcome, max_iterations: int, history: History) -> Outcome:
         settled = abs(variance / point.problem.variance - 1) < _UNCHANGED
         if before is not None and beside is not None:
             settled = settled and abs(beside.scale / before.scale - 1) < _UNCHANGED
-        if settled:
-            break
         problem = replace(point.problem, prior_variance=variance, beside=beside)
+        if settled:
+            # Intervals are those of the noise that is left, not of the last guess of it.
+            return replace(outcome, best=replace(point, problem=problem))
         done = levenberg_marquardt(
             problem, replace(point, problem=problem), max_iterations, history.add
         )

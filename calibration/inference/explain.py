@@ -126,7 +126,9 @@ class _Wider:
             places=problem.batch.conditions,
         )
         space = replace(problem.space, parameters=parameters)
-        wider = replace(problem, setup=setup, space=space, beside=None)
+        wider = replace(problem, setup=setup, space=space)
+        if problem.beside is not None:
+            wider = replace(wider, beside=problem.beside.among(wider))
         place = {u.label: i for i, u in enumerate(parameters.items)}
         x = space.origin()
         old = [place[u.label] for u in problem.space.parameters.items]
@@ -149,7 +151,10 @@ def _to_first_order(wider: _Wider) -> list[Explanation]:
     for group, members in candidates.items():
         new = [i for i, u in enumerate(items) if u.parameter.name in members]
         columns = old + new
-        step, loss = _step(point.jacobian[:, columns], point.residuals)
+        told, by_x = point.beliefs
+        size = np.sqrt(many.variance)
+        known = size * told, size * by_x[:, columns]
+        step, loss = _step(point.jacobian[:, columns], point.residuals, known)
         moved = dict(zip(columns, step, strict=True))
         values, units = {}, {}
         for i in new:
@@ -285,10 +290,15 @@ def _members(scene, problem, group, fitted) -> tuple[str, ...]:
     return tuple(members)
 
 
-def _step(J: np.ndarray, r: np.ndarray) -> tuple[np.ndarray, float]:
-    """The Gauss-Newton step in the columns of `J`, and the loss it promises."""
+def _step(J: np.ndarray, r: np.ndarray, known=None) -> tuple[np.ndarray, float]:
+    """The Gauss-Newton step in the columns of `J`, and the sum of squares that it promises of the
+    residuals `r`. `known`: residuals and derivatives of all that is told besides, which a step must
+    not make worse than the residuals are made better."""
+    mine, own = J, r
+    if known is not None:
+        J, r = np.concatenate([J, known[1]]), np.concatenate([r, known[0]])
     size = np.sqrt(np.sum(J**2, axis=0)) + 1e-300
     # Directions that do nothing are left alone.
     step, *_ = np.linalg.lstsq(J / size, -r, rcond=1e-4)
     step = step / size
-    return step, float(np.sum((r + J @ step) ** 2))
+    return step, float(np.sum((own + mine @ step) ** 2))

@@ -14,7 +14,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from calibration.data.recording import Recording
 from calibration.experiment.alignment import Alignment
+from calibration.experiment.hand import HAND, held_by_hands
+from calibration.parameters.unknowns import conditioned
 from calibration.problem.batch import make_batch
 from calibration.problem.dataset import Dataset
 from calibration.problem.problem import Point, Problem
@@ -53,6 +56,7 @@ def predictions(best: Point, unseen: Dataset, dt: float | None) -> Iterator[Pred
     for first in range(0, len(unseen), many):
         last = min(first + many, len(unseen))
         data = unseen.take([min(k, last - 1) for k in range(first, first + many)])
+        data = replace(data, recordings=_held(best, data.recordings))
         batch, clocks = make_batch(problem.scene, data, space.time_offset, step, like=problem.batch)
         parameters, x = space.parameters.shared(best.x, many)
         its_space = replace(space, parameters=parameters, clocks=clocks)
@@ -67,6 +71,18 @@ def _fitted_frame(own_frame: Point, best: Point) -> Point | None:
         return None
     mean = lambda a: jnp.asarray(np.mean(np.asarray(a)[free], axis=0))
     return _in_frame(own_frame, jax.tree.map(mean, best.evaluation.alignment))
+
+
+def _held(best: Point, recordings) -> tuple[Recording, ...]:
+    """The recordings, a hand's loads in them such that the fitted rod is where it was held."""
+    own = [replace(r, conditions=_without_hand(r.conditions)) for r in recordings]
+    setup = best.problem.fitted_setup(best.x)
+    names = best.problem.space.parameters.names
+    return tuple(held_by_hands(lambda r: conditioned(setup, r.conditions), own, names))
+
+
+def _without_hand(conditions):
+    return {name: value for name, value in conditions.items() if name not in HAND}
 
 
 def _own_frame(problem: Problem, parameters: np.ndarray) -> Point:

@@ -21,6 +21,14 @@ _CHAINS, _WARM_UP = 2, 200
 _MIXED, _FEW = 1.05, 100
 
 
+def check_posterior(method: str | None, draws: int) -> None:
+    """Raises `ValueError` for a method that is none, and for too few draws."""
+    if method is not None and method not in METHODS:
+        raise ValueError(f"posterior: {method!r}; expected one of {', '.join(METHODS)}")
+    if draws < 2:
+        raise ValueError(f"draws={draws}; at least 2 are needed")
+
+
 @dataclass(frozen=True, eq=False)
 class Posterior:
     """Draws of the posterior.
@@ -30,6 +38,7 @@ class Posterior:
     - `effective`: independent draws that the fewest of the parameters' draws are worth.
       `mixed`: the largest ratio of Gelman and Rubin of any parameter, near 1 if chains agree.
       `divergent`: draws at which the integration failed.
+    - `whole`: draws of all unknowns of a fit to motions, those of its clocks among them.
     """
 
     method: str
@@ -38,6 +47,7 @@ class Posterior:
     effective: float
     mixed: float
     divergent: int
+    whole: Float[np.ndarray, "draws unknowns"] | None = None
 
     @property
     def ci95(self) -> dict[str, tuple]:

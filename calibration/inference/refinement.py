@@ -132,7 +132,7 @@ def _judged(
     now = np.linalg.norm(best.residuals)
     then = np.linalg.norm(best.residuals + change + best.jacobian @ shift)
     floor = 1e-4 * float(problem.scene.length) * np.sqrt(problem.statistics.samples)
-    half = uncertainty.quantile * uncertainty.standard_errors[:n]
+    half = uncertainty.quantile[:n] * uncertainty.standard_errors[:n]
     moved = np.abs(shift[:n])
     identified = np.array([v == IDENTIFIED for v in uncertainty.verdicts])
     matters = np.any(identified & (moved > _PART_OF_INTERVAL * half) & (moved > _LEAST_SHIFT))

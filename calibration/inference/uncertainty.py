@@ -14,7 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calibration.inference.noise import estimate_noise
+from calibration.inference.noise import Noise, estimate_noise
 from calibration.problem.problem import Point
 from calibration.search.progress import Report
 
@@ -22,7 +22,7 @@ _QUANTILE = 1.959964  # of the normal distribution, 97.5 %
 _TRIES, _PRECISION = 7, 0.2
 _FOLLOWS = 0.2
 # What is believed of a delay beforehand, in sample intervals.
-_PRIOR_DELAY = 7.0
+PRIOR_DELAY = 7.0
 
 IDENTIFIED = "identified"
 ABOVE, BELOW = "bounded above only", "bounded below only"
@@ -39,7 +39,7 @@ class Uncertainty:
     - `samples`, `effective_samples`: how many coordinates were fitted, and how many independent
       ones they are worth.
     - `allowed` [m^2], (unknowns,): by how much the sum of squares may grow inside the interval.
-    - `quantile`: of Student's t; the interval's half width in standard errors.
+    - `quantile`, (unknowns,): of Student's t; the intervals' half widths in standard errors.
     - `information`, (unknowns, unknowns) [m^2]: J^T J and what is believed beforehand.
     """
 
@@ -51,7 +51,7 @@ class Uncertainty:
     samples: int
     effective_samples: float
     allowed: np.ndarray
-    quantile: float
+    quantile: np.ndarray
     information: np.ndarray
 
     def shift(self, point: Point, change: np.ndarray) -> np.ndarray:
@@ -67,11 +67,11 @@ def estimate_uncertainty(best: Point, report: Report) -> Uncertainty:
     # Keeps directions that the data say nothing of from taking infinite variance to the others:
     # beforehand theta is 0 within the largest theta, as a 95 % interval.
     width = [u.parameter.scale.largest / 2 for u in items]
-    width += [_PRIOR_DELAY] * (space.delays.stop - space.delays.start)
+    width += [PRIOR_DELAY] * (space.delays.stop - space.delays.start)
     width += [1.0] * (n - len(width))
     prior = noise.variance * np.diag(np.array(width) ** -2.0)
     # What is believed of parameters counts as measurements that are independent of each other.
-    beliefs, by_x = best.beliefs
+    _, by_x = best.beliefs
     variance = best.problem.variance
     known = variance * by_x.T @ by_x
     information = best.jacobian.T @ best.jacobian + prior + known
@@ -79,8 +79,8 @@ def estimate_uncertainty(best: Point, report: Report) -> Uncertainty:
     meat = noise.meat + noise.variance * prior + variance * known
     covariance = inverse @ meat @ inverse
     errors = np.sqrt(np.diag(covariance))
+    freedom = _freedom(best, noise, inverse, covariance)
     # Cornish and Fisher (1938): Student's t from the normal distribution.
-    freedom = max(noise.effective_samples + len(beliefs) - n, 2.0)
     quantile = _QUANTILE + (_QUANTILE**3 + _QUANTILE) / (4 * freedom)
     low, high = best.x - quantile * errors, best.x + quantile * errors
     # The noise as each parameter feels it.
@@ -106,6 +106,29 @@ def estimate_uncertainty(best: Point, report: Report) -> Uncertainty:
         quantile=quantile,
         information=information,
     )
+
+
+def _freedom(best: Point, noise: Noise, inverse, covariance) -> np.ndarray:
+    """How many degrees of freedom the variance of each unknown has, (unknowns,).
+
+    The noise of recordings, and of what was measured beside them, is known from their own
+    residuals. What rests on the fewer of them is known the less well (Welch 1947, Satterthwaite
+    1946). Priors are known.
+    """
+    n, beside = best.x.size, best.problem.beside
+    from_recordings = noise.effective_samples + len(best.from_priors[0]) - n
+    if beside is None:
+        return np.full(n, max(from_recordings, 2.0))
+    by_x = best.beliefs[1][len(best.from_priors[0]) :]
+    told = best.problem.variance * by_x.T @ by_x
+    # Unknowns are fitted to both, and take freedom from each as far as it tells them.
+    absorbed = float(np.trace(inverse @ told))
+    freedoms = from_recordings + absorbed, beside.effective - absorbed
+    meats = noise.meat, best.problem.variance * told
+    parts = [np.diag(inverse @ meat @ inverse) for meat in meats]
+    whole = np.diag(covariance)
+    spread = sum(part**2 / max(f, 2.0) for part, f in zip(parts, freedoms, strict=True))
+    return np.maximum(whole**2 / np.maximum(spread, 1e-300 * whole**2), 2.0)
 
 
 def _verdict(low: float, high: float, widest: float) -> str:

@@ -37,6 +37,7 @@ _IN_THE_SECTION = Shift(2e-4)  # m
 _RELEASE = 0.03  # s, where the search for a release's duration starts
 _ANGLE = Shift(float(np.pi / 180))  # rad
 _LAG = 0.03  # s, where the search for that of a valve or servo starts
+_HAND = Shift(0.1), Shift(1e-2)  # N and N m, of a hand that holds a tip
 _GAINS = Shift(0.5), Shift(2.0)  # of thrust over pressure, by bar and by bar squared
 
 
@@ -224,6 +225,8 @@ def _of_the_bench(scene: sr.Scene) -> list[_Entry]:
         found.append((None, Parameter("release_duration", "s", duration, make=make)))
     weighs = scene.gravity is not None
     for name, unit, scale, there in (
+        ("hand_force", "N", _HAND[0], True),
+        ("hand_moment", "N m", _HAND[1], True),
         ("sensor_offset", "m", _ON_THE_BENCH, True),
         ("payload_offset", "m", _ON_THE_BENCH, weighs and scene.payload is not None),
         ("gravity_tilt", "rad", _ANGLE, weighs),

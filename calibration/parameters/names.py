@@ -57,5 +57,7 @@ NAMES = {
     "pressure_lag": "of valves behind commands",
     "pull_lag": "of servos behind commands",
     "pressure_gain": "of a thrust that grows; _1, _2",
+    "hand_force": "of a hand that holds the tip bent, and lets go; _x, _y, _z",
+    "hand_moment": "of such a hand; _x, _y, _z",
     "release_duration": "how long a hand lets go",
 }

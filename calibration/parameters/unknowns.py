@@ -8,6 +8,7 @@ import numpy as np
 
 import softrod_jax as sr
 from calibration.data.recording import Recording, RecordingError
+from calibration.experiment.hand import HAND
 from calibration.experiment.setup import Setup
 from calibration.parameters.catalogue import (
     as_names,
@@ -72,13 +73,14 @@ class Unknowns:
     def shared(self, x: np.ndarray, recordings: int) -> tuple["Unknowns", np.ndarray]:
         """The unknowns of so many other recordings, and their theta, from `x` of the fitted ones.
 
-        They share the mean, in theta, of a parameter of which each fitted recording has its own.
+        They share the mean, in theta, of a parameter of which each fitted recording has its own;
+        but how they were held by a hand is theirs alone, and stays as it is.
         """
         items, thetas = [], []
         for name in self.names:
             of_it = [i for i, u in enumerate(self.items) if u.parameter.name == name]
-            if not of_it:
-                # Every recording's condition is 0, and stays it.
+            if not of_it or name in HAND:
+                # Every recording's condition is 0, and stays it; or it is another for each.
                 continue
             items.append(replace(self.items[of_it[0]], label=name, recording=None))
             thetas.append(np.mean(x[of_it]))

@@ -20,12 +20,14 @@ class Equilibria(AbstractBeside):
     """Postures as a part of a problem of motions.
 
     - `places`: of each of the model's parameters the unknown that it is.
-    - `scale`: the noise of an independent number, in terms of what was stated.
+    - `scale`: the noise of an independent number, in terms of what was stated. `effective`: how
+      many there are of them, as far as it is known.
     """
 
     model: Model
     places: Sequence[int]
     scale: float = 1.0
+    effective: float = np.inf
     _known: dict[bytes, Evaluation] = field(default_factory=dict, repr=False)
 
     def evaluation(self, x: Float[np.ndarray, "unknowns"]) -> Evaluation:
@@ -47,12 +49,16 @@ class Equilibria(AbstractBeside):
         J[:, list(self.places)] = own[measured]
         return r[measured] / self.scale, J / self.scale
 
+    def among(self, problem: Problem) -> "Equilibria":
+        model, places = _model(problem, self.model.postures, self.model.method)
+        return replace(self, model=model, places=places, _known={})
+
     def weighed(self, x: Float[np.ndarray, "unknowns"]) -> "Equilibria":
         found = self.evaluation(x)
         count = np.sum(np.any(found.jacobian != 0, -1) | (found.residuals != 0))
-        together = float(count) / effective_of(self.model, found)
-        scale = max(noise_scale_of(found), LEAST_SCALE) * np.sqrt(together)
-        return replace(self, scale=float(scale))
+        effective = effective_of(self.model, found)
+        scale = max(noise_scale_of(found), LEAST_SCALE) * np.sqrt(float(count) / effective)
+        return replace(self, scale=float(scale), effective=effective)
 
 
 def with_equilibria(
@@ -61,12 +67,18 @@ def with_equilibria(
     """The problem with postures beside its motions, which have what all recordings share."""
     if postures is None:
         return problem
+    grid = sr.Collocation() if method is None else method
+    model, places = _model(problem, postures, coarse(grid.fitted(problem.scene)))
+    return replace(problem, beside=Equilibria(model, places))
+
+
+def _model(problem: Problem, postures: Postures, method) -> tuple[Model, list[int]]:
+    """The postures by what all recordings of the problem share, and where that is among the
+    unknowns."""
     items = problem.space.parameters.items
     places = [i for i, u in enumerate(items) if u.recording is None]
     parameters = parameters_of(problem.scene, [items[i].parameter.name for i in places])
-    grid = sr.Collocation() if method is None else method
-    model = Model(problem.setup, postures, parameters, coarse(grid.fitted(problem.scene)))
-    return replace(problem, beside=Equilibria(model, places))
+    return Model(problem.setup, postures, parameters, method), places
 
 
 def equilibria_fit(best: Point) -> PosturesFit | None:
@@ -88,4 +100,6 @@ def equilibria_fit(best: Point) -> PosturesFit | None:
         rmse_m=rms(squares, has),
         rmse_by_marker={n: rms(squares[:, j], has[:, j]) for j, n in enumerate(model.markers)},
         noise_scale=noise_scale_of(found),
+        simulated=np.where(found.solved[:, None, None], found.seen.positions, np.nan),
+        measured=np.where(target.has_position, target.positions, np.nan),
     )

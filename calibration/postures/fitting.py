@@ -15,7 +15,7 @@ import softrod_jax as sr
 from calibration.data.carried import carried_in
 from calibration.data.quantities import quantities_of
 from calibration.experiment.setup import Setup
-from calibration.inference.posterior import Posterior
+from calibration.inference.posterior import Posterior, check_posterior
 from calibration.inference.uncertainty import IDENTIFIED, NOT_IDENTIFIABLE
 from calibration.parameters.catalogue import as_names, choose, parameters_of, prepared
 from calibration.parameters.priors import (
@@ -24,7 +24,6 @@ from calibration.parameters.priors import (
     contradictions,
 )
 from calibration.postures.data import Postures
-from calibration.postures.posterior import check_posterior
 from calibration.postures.prediction import Evaluation, Model, coarse
 from calibration.postures.search import (
     LEAST_SCALE,

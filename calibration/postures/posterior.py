@@ -12,16 +12,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from calibration.inference.posterior import METHODS, Posterior, laplace_draws, nuts
+from calibration.inference.posterior import Posterior, laplace_draws, nuts
 from calibration.postures.prediction import Model
-
-
-def check_posterior(method: str | None, draws: int) -> None:
-    """Raises `ValueError` for a method that is none, and for too few draws."""
-    if method is not None and method not in METHODS:
-        raise ValueError(f"posterior: {method!r}; expected one of {', '.join(METHODS)}")
-    if draws < 2:
-        raise ValueError(f"draws={draws}; at least 2 are needed")
 
 
 def log_density(

@@ -15,11 +15,11 @@ import softrod_jax as sr
 from calibration.inference.criteria import Verdict
 from calibration.postures.fitting import PostureFit
 from calibration.report.comparison import comparison_html, comparison_json
-from calibration.report.numbers import estimate_as_json, others_json, plain
+from calibration.report.numbers import estimate_as_json, others_json, plain, posterior_json
 from calibration.report.page import STYLE
 from calibration.report.provenance import provenance
 from calibration.report.tables import table
-from calibration.report.text import as_rows, others_text
+from calibration.report.text import as_rows, others_text, posterior_text
 from calibration.report.writing import write_text
 
 _MEASURED, _SIMULATED = "#1f77b4", "#d62728"
@@ -65,7 +65,7 @@ def posture_json(fit: PostureFit, compared: Verdict | None = None) -> dict:
         "others": others_json(fit.others),
         "held_out_rmse_m": plain(fit.held_out_m),
         "comparison": None if compared is None else comparison_json(compared),
-        "posterior": _posterior(fit),
+        "posterior": posterior_json(fit.posterior),
         "rows": fit.postures.rows,
         "unsolved_rows": fit.unsolved,
         "effective_samples": fit.effective,
@@ -79,22 +79,6 @@ def posture_json(fit: PostureFit, compared: Verdict | None = None) -> dict:
     }
 
 
-def _posterior(fit: PostureFit) -> dict | None:
-    """The draws' intervals and how good they are."""
-    drawn = fit.posterior
-    if drawn is None:
-        return None
-    return {
-        "method": drawn.method,
-        "ci95": {name: [plain(end) for end in ends] for name, ends in drawn.ci95.items()},
-        "median": {name: plain(np.median(x, axis=0)) for name, x in drawn.values.items()},
-        "draws": len(drawn.theta),
-        "effective_draws": drawn.effective,
-        "gelman_rubin": drawn.mixed,
-        "divergent": drawn.divergent,
-    }
-
-
 def posture_summary(fit: PostureFit) -> str:
     """Parameters and what is left of the markers, as lines of text."""
     lines = as_rows(fit.parameters)
@@ -102,12 +86,7 @@ def posture_summary(fit: PostureFit) -> str:
     if fit.markers:
         lines.append(f"all: {1e3 * fit.rmse_m:.3g} mm rms over {fit.postures.rows} postures")
     lines += others_text(fit.others)
-    if fit.posterior is not None:
-        for name, ends in fit.posterior.ci95.items():
-            low, high = (", ".join(f"{x:.4g}" for x in np.ravel(end)) for end in ends)
-            lines.append(
-                f"{name}: 95 % of the posterior ({fit.posterior.method}) in {low} .. {high}"
-            )
+    lines += posterior_text(fit.posterior)
     if fit.held_out_m is not None:
         lines.append(f"kept aside and predicted: {1e3 * fit.held_out_m:.3g} mm rms")
     return "\n".join([*lines, *posture_remarks(fit)])

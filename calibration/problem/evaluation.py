@@ -158,6 +158,11 @@ def _sensitivities(setup, batch, theta, nuisance, names, scheme, method):
     return _each(one, batch, theta, nuisance)
 
 
+def traced(setup, batch: Batch, theta, nuisance, names, scheme, method) -> Evaluation:
+    """`evaluate` as a part of a larger program; nothing is checked."""
+    return _sensitivities(setup, batch, theta, nuisance, names, scheme, method)
+
+
 def predict(setup, batch: Batch, theta, nuisance, names, scheme, method):
     """Like `evaluate`, without sensitivities: residuals and motions of every recording."""
     # Half the step or twice the grid takes no more than the derivatives of `evaluate`.

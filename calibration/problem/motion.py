@@ -52,7 +52,8 @@ def simulate_motion(setup: Setup, batch: Batch, scheme, method) -> Motion:
     initial, start_result = None, jnp.zeros((), jnp.int32)
     if batch.any_hanging:
         first = jax.tree.map(lambda x: x[0], inputs)
-        initial = sr.solve_static(scene, *first, method=method, throw=False)
+        still = setup.held_scene(scene) if setup.is_held else scene
+        initial = sr.solve_static(still, *first, method=method, throw=False)
         start_result = jnp.where(batch.hanging, initial.result, 0)
         strain = jnp.where(batch.hanging, initial.point_strains, _rest_strain(scene))
         tensions = jnp.where(batch.hanging, initial.tensions, 0.0)

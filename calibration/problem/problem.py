@@ -141,16 +141,22 @@ class Point:
 class AbstractBeside(abc.ABC):
     """What was measured besides the recordings of a problem and depends on the same unknowns.
 
-    `scale`: its noise, in terms of what was stated.
+    `scale`: its noise, in terms of what was stated. `effective`: how many independent numbers it
+    is worth.
     """
 
     scale: float
+    effective: float
 
     @abc.abstractmethod
     def rows(
         self, x: Float[np.ndarray, "unknowns"]
     ) -> tuple[Float[np.ndarray, "rows"], Float[np.ndarray, "rows unknowns"]]:
         """Residuals in terms of their noise, and derivatives."""
+
+    @abc.abstractmethod
+    def among(self, problem: "Problem") -> "AbstractBeside":
+        """The same of the unknowns of another problem, in which more is fitted."""
 
     @abc.abstractmethod
     def weighed(self, x: Float[np.ndarray, "unknowns"]) -> "AbstractBeside":

@@ -1,12 +1,15 @@
 """From what a search found to the `Fit` that is handed back."""
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 
 from calibration.experiment.setup import Setup
 from calibration.inference.beliefs import contradicted
 from calibration.inference.explain import Explanation
+from calibration.inference.motion_posterior import bands
+from calibration.inference.posterior import Posterior
 from calibration.inference.profile import Profile
 from calibration.inference.refinement import Resolved
 from calibration.inference.uncertainty import IDENTIFIED, Uncertainty
@@ -31,19 +34,26 @@ def assemble_fit(
     held_out: tuple[RecordingFit, ...],
     material: str | None,
     postures: PosturesFit | None,
+    posterior: Posterior | None,
     seconds: float,
 ) -> Fit:
     """The fit of `data` that ended where `resolved` says, with all that was found out about it."""
     best, uncertainty, refinement = resolved.best, resolved.uncertainty, resolved.refinement
     setup = _fitted_setup(best, uncertainty)
     n = best.problem.space.parameter_count
+    recordings = tuple(
+        recording_fit(best, k, data, uncertainty, refinement.motions) for k in range(len(data))
+    )
+    if posterior is not None:
+        recordings = tuple(
+            replace(r, band=tuple(end[: len(r.times)] for end in ends))
+            for r, ends in zip(recordings, bands(best, posterior), strict=True)
+        )
     return Fit(
         scene=setup.scene,
         setup=setup,
         parameters=_estimates(resolved, data.labels),
-        recordings=tuple(
-            recording_fit(best, k, data, uncertainty, refinement.motions) for k in range(len(data))
-        ),
+        recordings=recordings,
         held_out=held_out,
         result=resolved.outcome.result,
         optimiser=settings.optimiser,
@@ -65,6 +75,7 @@ def assemble_fit(
         conflicts=contradicted(best),
         checkpoint=history.checkpoint,
         postures=postures,
+        posterior=posterior,
         seconds=seconds,
     )
 
@@ -82,7 +93,7 @@ def _estimates(resolved: Resolved, labels: Sequence[str]) -> dict[str, Estimate]
             if shift is None:
                 return None
             # The ends of an interval that is open are no measure.
-            width = uncertainty.quantile * uncertainty.standard_errors[i]
+            width = uncertainty.quantile[i] * uncertainty.standard_errors[i]
             return float(shift[i] / min(width, max(u.parameter.scale.vague, 1.0)))
 
         out[u.label] = Estimate(

@@ -5,6 +5,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from calibration.inference.criteria import Verdict
+from calibration.inference.posterior import Posterior
 from calibration.report.comparison import comparison_json
 from calibration.report.granted import taken_for_granted
 from calibration.report.provenance import provenance
@@ -66,6 +67,7 @@ def as_json(fit: Fit, compared: Verdict | None = None) -> dict:
             {"name": e.name, "rms_m": e.rms, "values": e.values, "reading": e.reading}
             for e in fit.explanations or ()
         ],
+        "posterior": posterior_json(fit.posterior),
         "comparison": None if compared is None else comparison_json(compared),
         "material": fit.material,
         "loss": fit.loss,
@@ -94,6 +96,21 @@ def estimate_as_json(e: Estimate) -> dict:
         "recording": e.recording,
         "step_shift": plain(e.step_shift),
         "grid_shift": plain(e.grid_shift),
+    }
+
+
+def posterior_json(drawn: Posterior | None) -> dict | None:
+    """The draws' intervals and how good they are."""
+    if drawn is None:
+        return None
+    return {
+        "method": drawn.method,
+        "ci95": {name: [plain(end) for end in ends] for name, ends in drawn.ci95.items()},
+        "median": {name: plain(np.median(x, axis=0)) for name, x in drawn.values.items()},
+        "draws": len(drawn.theta),
+        "effective_draws": drawn.effective,
+        "gelman_rubin": drawn.mixed,
+        "divergent": drawn.divergent,
     }
 
 

@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 
 from calibration.data.recording import Recording
 from calibration.data.selection import select
-from calibration.report.results import Fit, RecordingFit
+from calibration.report.results import Fit, PosturesFit, RecordingFit
 from calibration.report.spectra import amplitudes
 from softrod_jax.pictures.body import line_along
 
@@ -44,6 +44,10 @@ def write_plots(fit: Fit, directory: Path) -> dict[str, Path]:
             paths[f"{title}: drift"] = _save(
                 drift_figure(recording), directory / f"drift_{stem}.png"
             )
+    if fit.postures is not None:
+        paths[f"{fit.postures.name}: equilibria"] = _save(
+            postures_figure(fit.postures), directory / "equilibria.png"
+        )
     for label in fit.profiles:
         stem = re.sub(r"[^A-Za-z0-9._-]+", "_", label)
         paths[f"Profile of {label}"] = _save(
@@ -101,6 +105,12 @@ def recording_figure(recording: RecordingFit) -> Figure:
             axis.plot(
                 recording.times[outlier], measured[outlier], "x", color=_QUIET, label="outlier"
             )
+        if recording.band is not None:
+            low, high = (mm(end) for end in recording.band)
+            label = "95 % expected"
+            axis.fill_between(
+                recording.times, low, high, color=_SIMULATED, alpha=0.15, lw=0, label=label
+            )
         axis.plot(
             recording.curve_times, mm(recording.curve), color=_SIMULATED, lw=1, label="simulated"
         )
@@ -108,6 +118,30 @@ def recording_figure(recording: RecordingFit) -> Figure:
     axes[0].legend(loc="upper right", fontsize=8)
     axes[2].set_xlabel("time on the recording's clock [s]")
     title = f"{recording.name}: {1e3 * recording.rmse:.3g} mm rms"
+    figure.suptitle(title, fontsize=11, parse_math=False)
+    return figure
+
+
+def postures_figure(postures: PosturesFit) -> Figure:
+    """Equilibria that were fitted as well: markers in space, and how far off those of each row."""
+    figure = Figure(figsize=(9, 3.8), layout="constrained")
+    axes = figure.subplots(1, 3)
+    simulated, measured = 1e3 * postures.simulated, 1e3 * postures.measured
+    for axis, (i, j) in zip(axes, ((0, 2), (1, 2)), strict=False):
+        axis.plot(measured[..., i].ravel(), measured[..., j].ravel(), "o", ms=4, mfc="none",
+                  color=_MEASURED, label="measured")  # fmt: skip
+        axis.plot(simulated[..., i].ravel(), simulated[..., j].ravel(), ".", ms=4,
+                  color=_SIMULATED, label="simulated")  # fmt: skip
+        axis.set_xlabel(f"{'xyz'[i]} [mm]")
+        axis.set_ylabel(f"{'xyz'[j]} [mm]")
+    axes[0].legend(fontsize=8)
+    apart = np.linalg.norm(simulated - measured, axis=-1)
+    for name, column in zip(postures.rmse_by_marker, apart.T, strict=True):
+        axes[2].plot(np.arange(1, postures.rows + 1), column, ".", label=name)
+    axes[2].set_xlabel("row")
+    axes[2].set_ylabel("apart [mm]")
+    axes[2].legend(fontsize=7)
+    title = f"{postures.name}: {1e3 * postures.rmse_m:.3g} mm rms"
     figure.suptitle(title, fontsize=11, parse_math=False)
     return figure
 

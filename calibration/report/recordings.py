@@ -166,4 +166,5 @@ def _offset_interval(
     clock = space.clocks[k]
     at = clock.origin - clock.zero + delay
     error = uncertainty.standard_errors[space.delays][k] * clock.interval
-    return at - uncertainty.quantile * error, at + uncertainty.quantile * error
+    half = uncertainty.quantile[space.delays][k] * error
+    return at - half, at + half

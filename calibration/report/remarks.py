@@ -41,6 +41,7 @@ def remarks(fit: Fit) -> list[str]:
         *_granted(fit),
         *_frames(fit),
         *_drifts(fit),
+        *(fit.posterior.remarks if fit.posterior is not None else ()),
         *_beside_the_scene(fit),
     ]
 

@@ -12,6 +12,7 @@ from calibration.data.selection import Selection
 from calibration.experiment.drift import Drift
 from calibration.experiment.setup import Setup
 from calibration.inference.explain import Explanation
+from calibration.inference.posterior import Posterior
 from calibration.inference.profile import Profile
 from calibration.inference.uncertainty import IDENTIFIED
 from calibration.report.text import html_table, summary_text
@@ -110,6 +111,8 @@ class RecordingFit:
     - `frame_fitted`: they were fitted to this recording; else, where it was kept aside, they are
       those of the fitted ones, and `rmse_own_frame` [m] is what a frame of its own would leave.
     - `motion`: the rod's motion, for plots and films.
+    - `band` [m], two of (n, 3): between which ends 95 % of samples of the tip are expected, by the
+      spread of the posterior and the noise; None where no posterior was asked for.
     """
 
     name: str
@@ -133,6 +136,7 @@ class RecordingFit:
     beginning: str = ""
     frame_fitted: bool = True
     rmse_own_frame: float | None = None
+    band: tuple[np.ndarray, np.ndarray] | None = None
 
 
 @dataclass(frozen=True)
@@ -142,6 +146,8 @@ class PosturesFit:
     - `name`, `source`: of the logs; `rows`, and of how many there is no equilibrium, `unsolved`.
     - `rmse_m` [m]: root mean square distance of all markers; `rmse_by_marker`, by name.
     - `noise_scale`: how many times larger residuals are than the noise that was stated.
+    - `simulated`, `measured` [m]: (rows, markers, 3), markers in the order of `rmse_by_marker`; NaN
+      where missing.
     """
 
     name: str
@@ -151,6 +157,8 @@ class PosturesFit:
     rmse_m: float
     rmse_by_marker: Mapping[str, float]
     noise_scale: float
+    simulated: Float[np.ndarray, "rows markers 3"]
+    measured: Float[np.ndarray, "rows markers 3"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -175,6 +183,7 @@ class Fit:
     - `priors`: mean and standard deviation of what was known beforehand, by parameter; `conflicts`:
       those that the recordings contradict, and by how many standard deviations.
     - `postures`: equilibria that were fitted as well; None without any.
+    - `posterior`: draws of it; None if nobody asked.
     - `checkpoint`: that of the fit, for `calibration.report.writing.write_report` to remove.
     - `seconds`: how long the fit took.
     """
@@ -205,6 +214,7 @@ class Fit:
     checkpoint: Checkpoint
     seconds: float
     postures: PosturesFit | None = None
+    posterior: Posterior | None = None
 
     def summary(self) -> str:
         """The parameters and what is left of each recording, as lines of text."""

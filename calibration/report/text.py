@@ -22,6 +22,7 @@ def summary_text(fit) -> str:
         text += [f"{r.name}, {line}" for line in others_text(r.others)]
     if fit.postures is not None:
         text.append(postures_text(fit.postures))
+    text += posterior_text(fit.posterior)
     text += [
         f"{name}: its prior and the recordings are {apart:.1f} standard deviations apart"
         for name, apart in fit.conflicts.items()
@@ -47,6 +48,17 @@ def others_text(others) -> list[str]:
     return [
         f"{key}: {x.rms:.3g} {x.unit} rms, {x.rms / x.noise:.2g} times the noise"
         for key, x in others.items()
+    ]
+
+
+def posterior_text(posterior) -> list[str]:
+    """What 95 % of the draws are in, by parameter; nothing of None."""
+    if posterior is None:
+        return []
+    return [
+        f"{name}: 95 % of the posterior ({posterior.method}) in "
+        + " .. ".join(show_number(end) for end in ends)
+        for name, ends in posterior.ci95.items()
     ]
 
 

@@ -4,6 +4,9 @@ import json
 import os
 from os import PathLike
 from pathlib import Path
+from typing import Any
+
+import numpy as np
 
 import softrod_jax as sr
 from calibration.inference.criteria import Verdict
@@ -25,6 +28,7 @@ def write_report(fit: Fit, out_dir: str | PathLike, compared: Verdict | None = N
     - `scene.toml`: the scene with the fitted values, for `softrod simulate`.
     - `film_*.html`: the rod over the measured tip, to be turned and played; `motions.npz`: what
       `softrod film` makes others from.
+    - `posterior.npz`: draws of the posterior by label, where there are any.
     - `fit_*.png`, `residuals_*.png`, `motion_*.png`, `profile_*.png`, `convergence.png`.
 
     Raises `OSError` if a file cannot be written. The numbers are written first, and the fit's
@@ -34,6 +38,9 @@ def write_report(fit: Fit, out_dir: str | PathLike, compared: Verdict | None = N
     out.mkdir(parents=True, exist_ok=True)
     text = json.dumps(as_json(fit, compared), indent=2, allow_nan=False)
     write_text(out / "parameters.json", text + "\n")
+    if fit.posterior is not None:
+        draws: dict[str, Any] = dict(fit.posterior.values)
+        np.savez(out / "posterior.npz", **draws)
     pictures = write_plots(fit, out)
     films = write_films(fit, out)
     write_text(out / "report.html", page(fit, pictures, films, compared))

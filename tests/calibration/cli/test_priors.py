@@ -47,7 +47,7 @@ def test_a_prior_is_a_mean_and_a_spread():
     [
         (["--prior", "density=1070"], "expected NAME=MEAN:SPREAD"),
         (["--folds", "3"], "--folds: for --postures only"),
-        (["--posterior", "nuts"], "--posterior: for --postures only"),
+        (["--draws", "7"], "--draws: of --posterior"),
         (["--postures", "x.csv", "--draws", "9"], "--draws: of --posterior"),
         (["--postures", "x.csv", "--one-frame"], "--one-frame: for motions only"),
         (["--postures", "x.csv", "--priors-from", "y"], "--priors-from: for motions only"),

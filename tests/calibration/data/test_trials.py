@@ -1,5 +1,7 @@
 """Several trials in one file, and several files by one pattern."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -7,6 +9,7 @@ from calibration import RecordingError, load_recording, load_recordings
 from calibration.data.trials import files_of
 from softrod_jax.scene.scene import Scene, as_arrays
 from softrod_jax.scene.sections import Circle
+from softrod_jax.scene.tendons import Tendons
 
 SCENE = as_arrays(Scene(0.1, Circle(6e-3), 2e5, 0.49, 1070.0, gravity=[-9.81, 0.0, 0.0]))
 MAPPING = """
@@ -85,7 +88,7 @@ def test_an_error_names_the_row_of_the_file(tmp_path):
         ("only = [3]", "it chooses among"),
         ("windows = [[1, 0]]", "pairs .start, end. in s, end after start"),
         ("windows = [[8, 9]]", "holds fewer than two samples"),
-        ('colum = "run"', "unknown key; allowed here: column, only, windows"),
+        ('colum = "run"', "unknown key; allowed here: axis, column, only, windows"),
     ],
 )
 def test_bad_trials_are_told(tmp_path, trials, message):
@@ -115,3 +118,64 @@ def test_a_pattern_stands_for_files_in_the_order_of_their_numbers(tmp_path):
     text = mapping(tmp_path, "windows = [[0.0, 0.02]]")
     found = load_recordings(pattern, SCENE, mapping=text)
     assert [r.name for r in found] == ["run_1-1", "run_2-1", "run_10-1"]
+
+
+AXIS = """
+[time]
+column = "t"
+[tip]
+columns = ["tip[1]", "tip[2]", "tip[3]"]
+[[tensions]]
+column = "u"
+[trials]
+axis = {axis}
+"""
+
+
+def cube(axis: int):
+    """Three trials of 9 samples: tips with the trials along an axis, a clock, an input of each."""
+    t, signs = 0.01 * np.arange(9), np.array([1.0, -1.0, 2.0])
+    x = signs[:, None] * 1e-3 * np.arange(9)
+    tips = np.stack([x, 0 * x, 0.1 + 0 * x], axis=2)  # (trials, samples, coordinates)
+    return {"t": t, "tip": np.moveaxis(tips, 0, axis - 1), "u": np.outer(np.arange(9), [1, 2, 3])}
+
+
+@pytest.mark.parametrize("kind, axis", [("mat", 1), ("mat", 3), ("h5", 1), ("h5", 2)])
+def test_an_array_of_trials(tmp_path, kind, axis):
+    scene = replace(SCENE, tendons=Tendons(np.array([[4e-3, 0.0]])))
+    path, arrays = tmp_path / f"all.{kind}", cube(axis)
+    if kind == "mat":
+        pytest.importorskip("scipy.io").savemat(path, arrays)
+    else:
+        with pytest.importorskip("h5py").File(path, "w") as file:
+            for name, values in arrays.items():
+                file[f"{name}"] = values
+    text = tmp_path / "any.map.toml"
+    text.write_text(AXIS.format(axis=axis), encoding="utf-8")
+    found = load_recordings(path, scene, mapping=text)
+    assert [r.name for r in found] == ["all-1", "all-2", "all-3"]
+    for k, (recording, sign) in enumerate(zip(found, [1, -1, 2])):
+        np.testing.assert_allclose(recording.times, 0.01 * np.arange(9))
+        np.testing.assert_allclose(recording.tip_positions[:, 0], sign * 1e-3 * np.arange(9))
+        np.testing.assert_allclose(recording.tensions[:, 0], (k + 1) * np.arange(9))
+    text.write_text(AXIS.format(axis=axis) + "only = 2\n", encoding="utf-8")
+    assert load_recording(path, scene, mapping=text).name == "all-2"
+    text.write_text(AXIS.format(axis=4), encoding="utf-8")
+    with pytest.raises(RecordingError, match="axis = 4: expected 1, 2 or 3"):
+        load_recordings(path, scene, mapping=text)
+
+
+def test_an_axis_of_trials_needs_arrays_that_agree(tmp_path):
+    mat = pytest.importorskip("scipy.io")
+    text = tmp_path / "any.map.toml"
+    text.write_text(AXIS.format(axis=3), encoding="utf-8")
+    scene = replace(SCENE, tendons=Tendons(np.array([[4e-3, 0.0]])))
+    for arrays, message in (
+        ({"t": np.arange(9.0), "tip": np.zeros((9, 3))}, "no array of three dimensions"),
+        ({"tip": np.zeros((9, 3, 3)), "u": np.zeros((8, 2, 3))}, "tip 3 trials of 9 samples, u 3"),
+    ):
+        mat.savemat(tmp_path / "bad.mat", arrays)
+        with pytest.raises(RecordingError, match=message):
+            load_recordings(tmp_path / "bad.mat", scene, mapping=text)
+    with pytest.raises(RecordingError, match="for arrays of MAT and HDF5 files"):
+        load_recordings(one_file(tmp_path), scene, mapping=text)

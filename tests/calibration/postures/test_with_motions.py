@@ -10,9 +10,12 @@ from beams import FIT, NOISE, TRUTH, beam, release
 import softrod_jax as sr
 from calibration import calibrate, compare, write_log
 from calibration.cli.main import main
+from calibration.inference.explain import _step
 from calibration.parameters.laws import Model
 from calibration.postures.data import Postures
 from calibration.report.numbers import as_json
+from calibration.report.plots import postures_figure
+from calibration.report.results import PosturesFit
 from calibration.report.text import summary_text
 from softrod_jax.scene.inputs import Inputs
 
@@ -64,6 +67,43 @@ def test_together_they_tell_what_neither_tells_alone(recording, postures):
     assert told["rows"] == 14 and told["unsolved"] == 0
     alone = fitted(recording)
     assert not alone.parameters["density"].identifiable and alone.postures is None
+
+
+@pytest.mark.long
+def test_what_else_would_explain_it_must_suit_the_equilibria(recording, postures):
+    """Of a release a density that is too low by a tenth is as good as a modulus that is too high;
+    equilibria under tension tell that it is not the modulus."""
+    scene = robot(density=0.9 * 1070.0)
+    parts = {"checks": False, "progress": False, "window": (0.0, 1.0), **FIT}
+    parts |= {"fit": ("young_modulus", "bending_damping"), "explain": True}
+    found = calibrate(scene, [recording], postures=postures, **parts)
+    (density,) = (e for e in found.explanations if e.name == "density")
+    assert density.values["density"] == pytest.approx(1070.0, rel=0.03)
+
+
+def test_a_step_must_suit_what_is_told_besides():
+    """The least squares of all of it, and what is left of the residuals alone."""
+    rng = np.random.default_rng(0)
+    J, r = rng.normal(size=(9, 2)), rng.normal(size=9)
+    by, told = 5 * rng.normal(size=(4, 2)), rng.normal(size=4)
+    step, loss = _step(J, r, (told, by))
+    all_ = np.linalg.lstsq(np.concatenate([J, by]), -np.concatenate([r, told]), rcond=None)[0]
+    np.testing.assert_allclose(step, all_)
+    assert loss == pytest.approx(float(np.sum((r + J @ all_) ** 2)))
+    assert loss > _step(J, r)[1]
+
+
+def test_equilibria_are_drawn(tmp_path):
+    rng = np.random.default_rng(1)
+    measured = rng.normal(size=(7, 2, 3))
+    measured[3, 1] = np.nan
+    shown = PosturesFit("rest", "", 7, 0, 1e-3, {"tip": 1e-3, "middle": 2e-3}, 1.0,
+                        measured + 1e-3, measured)  # fmt: skip
+    figure = postures_figure(shown)
+    *_, apart = figure.axes
+    assert [line.get_label() for line in apart.lines] == ["tip", "middle"]
+    np.testing.assert_allclose(apart.lines[0].get_ydata(), 1.0 * np.sqrt(3), rtol=1e-9)
+    assert np.isnan(apart.lines[1].get_ydata()[3])
 
 
 def test_a_comparison_does_not_count_them(recording, postures):
