@@ -10,7 +10,7 @@ from collections.abc import Mapping, Sequence
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Array, Float
 
 import softrod_jax as sr
 from calibration.data.recording import Recording, RecordingError
@@ -136,7 +136,9 @@ def poses_at(
     return np.concatenate([x[:, :3], x[:, 3:] / np.linalg.norm(x[:, 3:], axis=1)[:, None]], axis=1)
 
 
-def at_first(scene: sr.Scene, carried: Mapping[str, Float[np.ndarray, "rows 7"]]) -> sr.Scene:
+def at_first(
+    scene: sr.Scene, carried: Mapping[str, Float[Array | np.ndarray, "rows 7"]]
+) -> sr.Scene:
     """The scene with the base where a recording has it at first."""
     if BASE not in carried:
         return scene

@@ -198,7 +198,7 @@ def run_checked(
     return judged(_apart(motion, found, scene) + error, needed_substeps=needed)
 
 
-def _shown_by(limit: float):
+def _shown_by(limit: float) -> tuple[float, float, float]:
     """Where no accuracy is asked for: the error that is aimed at, what two motions may differ by,
     and the estimate along the rod from which on a finer grid is taken."""
     return _KEPT, _CONFIRMS * limit, _ROUGH
