@@ -89,7 +89,7 @@ def run(args) -> int:
         print(f"- not used: {', '.join(unused)}")
     out.write_text(mapping_text(Path(path).name, found, _csv(args, sniffed), notes), "utf-8")
     print(f"the mapping is in {out}")
-    _check(args, path, out, scene)
+    _check(args, path, out, scene, told=notes)
     print(f"next: {_next(scene_path, path, out, found)}")
     return 0
 
@@ -253,8 +253,8 @@ def _unused(table, found) -> list[str]:
     return [repr(column) for column in table.columns if column not in used]
 
 
-def _check(args, path, mapping, scene) -> None:
-    """Read the file as the mapping says, and draw what is then read."""
+def _check(args, path, mapping, scene, told) -> None:
+    """Read the file as the mapping says, draw what is then read, and say what was not `told`."""
     import numpy as np
 
     from calibration.data.loading import load_recording
@@ -274,7 +274,8 @@ def _check(args, path, mapping, scene) -> None:
         print(f"; tip [mm]: {', '.join(spans)}", end="")
     print()
     for note in recording.notes:
-        print(f"- {note}")
+        if note not in told:
+            print(f"- {note}")
     if args.no_plot or not len(tip):
         return
     try:

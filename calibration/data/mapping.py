@@ -228,7 +228,9 @@ class _OtherFiles:
     def __init__(self, path, spec: Spec):
         self.folder, self.spec, self.read = Path(path).parent, spec, {}
 
-    def table_and_clock(self, part: Spec, table: Table, clock: TimeColumn, label: str):
+    def table_and_clock(
+        self, part: Spec, table: Table, clock: TimeColumn, label: str
+    ) -> tuple[Table, TimeColumn]:
         """The table of the input `part` and its clock: those of the recording, unless `file` names
         another file, whose clock [time] describes as well."""
         name = part.text("file", None)
@@ -263,7 +265,7 @@ def _input(table: Table, clock: TimeColumn, part: Spec, kind: str):
         values = stepped(part, steps, times)
     before = part.number("before", None)
     given = part.number("scale", None)
-    scale, offset = 1.0 if given is None else given, part.number("offset", 0.0)
+    scale, offset = 1.0 if given is None else given, part.number("offset", None) or 0.0
     own = [] if steps is not None else [name]
     unit = factor(table, part, kind, own, given is not None) * scale
     values = unit * (values + offset)

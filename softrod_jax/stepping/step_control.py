@@ -158,7 +158,7 @@ def run_checked(
     if not (moving or fixed_steps) and int(motion.result) in _CURABLE:
         _LOG.info("the motion breaks off at step %d: more care is tried", int(motion.failed_step))
         care = careful()
-        return _rescued(motion, method, *more(unjudged(care, method), care, _RESCUES), limit)
+        return _rescued(motion, method, more(unjudged(care, method), care, _RESCUES), limit)
     if not (estimate > _DOUBTFUL * limit and moving and _is_smooth(motion, method)):
         return _with(motion, None, method)
     least = np.zeros_like(_stat(motion, "time_error"))
@@ -204,8 +204,9 @@ def _shown_by(limit: float) -> tuple[float, float, float]:
     return _KEPT, _CONFIRMS * limit, _ROUGH
 
 
-def _rescued(motion, method, found, error, method_found, agrees, limit):
+def _rescued(motion, method, more, limit):
     """What becomes of a motion that broke off: the one with more care, if there is one."""
+    found, error, method_found, agrees = more
     if agrees:
         return _with(found, error, method_found)
     if not _solved(found):
