@@ -134,12 +134,11 @@ def _read(path, mapping, table: Table, label: str, scene, need_tip: bool) -> Rec
     part = spec.table("tip", required=need_tip)
     seen = mapped_tip(table, spec, part, clock, scene) if part.content else None
     other = _OtherFiles(path, spec)
+    one = lambda part, quantity: _input(
+        *other.table_and_clock(part, table, clock, label), part=part, kind=quantity
+    )
     inputs = {
-        kind.name: [
-            _input(*other.table_and_clock(part, table, clock, label), part, kind.quantity)
-            for part in spec.tables(kind.name)
-        ]
-        for kind in KINDS
+        kind.name: [one(part, kind.quantity) for part in spec.tables(kind.name)] for kind in KINDS
     }
     measured = measured_parts(table, spec, clock, scene, None if seen is None else seen.frame)
     conditions = spec.table("conditions", required=False).numbers()
@@ -250,7 +249,7 @@ class _OtherFiles:
         return self.read[name]
 
 
-def _input(table: Table, clock: TimeColumn, part: Spec, kind: str):
+def _input(table: Table, clock: TimeColumn, *, part: Spec, kind: str):
     """Name, times and values [SI] of one actuator, without missing samples; labels, time's key."""
     own = part.table("time", required=False)
     clock = TimeColumn(table, own) if own.content else clock
@@ -265,7 +264,7 @@ def _input(table: Table, clock: TimeColumn, part: Spec, kind: str):
         values = stepped(part, steps, times)
     before = part.number("before", None)
     given = part.number("scale", None)
-    scale, offset = 1.0 if given is None else given, part.number("offset", None) or 0.0
+    scale, offset = 1.0 if given is None else given, part.number("offset", 0.0) or 0.0
     own = [] if steps is not None else [name]
     unit = factor(table, part, kind, own, given is not None) * scale
     values = unit * (values + offset)

@@ -84,7 +84,7 @@ def test_draws_of_laplace_and_the_band_of_a_prediction(recording, tmp_path):
 @pytest.mark.long
 def test_nuts_agrees_where_the_posterior_is_gaussian(recording):
     pytest.importorskip("blackjax")
-    found = fitted(recording, posterior="nuts", draws=300, time_offset=False)
+    found = fitted(recording, posterior="nuts", draws=300)
     drawn = found.posterior
     assert drawn.mixed < 1.1 and drawn.divergent <= 3
     for name in NAMES:
