@@ -150,9 +150,8 @@ def calibrate(
         fit = with_frame(scene, fit)
         program = None if program is None else tuple(dict.fromkeys((*program, *fit)))
     as_told = lambda r: conditioned(prepared(scene, r.conditions), r.conditions)
-    recordings, held_out = (
-        held_by_hands(as_told, part, choose(scene, fit)) for part in (recordings, held_out)
-    )
+    names = choose(scene, fit, {name for r in recordings for name in r.conditions})
+    recordings, held_out = (held_by_hands(as_told, part, names) for part in (recordings, held_out))
     data, unseen = datasets(scene, recordings, held_out, window, drift)
     resolution = Resolution(data, dt, method, tolerance)
     setup, parameters = choose_unknowns(
