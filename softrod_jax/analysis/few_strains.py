@@ -24,7 +24,7 @@ from softrod_jax.foundation.compiling import compiled
 from softrod_jax.rod.constants import full_strain, joined
 from softrod_jax.rod.reduction import make_rod
 
-# Of a mode, its energy in terms of the mean of those of the equilibria.
+# Of the slowest mode, its energy in terms of the mean of those of the equilibria.
 _OF_MODES = 0.005
 
 
@@ -33,7 +33,7 @@ class Snapshots(NamedTuple):
 
     equilibria: Float[Array, "samples points 6"]
     solved: Float[Array, "samples"]
-    modes: Float[Array, "modes points 6"]
+    modes: Float[Array, "about modes points 6"]
 
 
 class Few(NamedTuple):
@@ -59,7 +59,7 @@ def snapshots(problem: Problem, x: Float[Array, "samples m"], about: int, count:
     solved = answered(known.result) & jnp.all(jnp.isfinite(beyond), (1, 2))
     found = jax.lax.map(lambda at: _modes(problem, *at, count), (x[:about], beyond[:about]))
     good = jnp.where(solved[:, None, None], beyond, 0.0)
-    return Snapshots(good, solved.astype(float), found.reshape(-1, *beyond.shape[1:]))
+    return Snapshots(good, solved.astype(float), found)
 
 
 def _modes(problem: Problem, x, beyond, count: int) -> Float[Array, "modes points 6"]:
@@ -107,10 +107,12 @@ def _fewest(problem: Problem, seen: Snapshots, order: int) -> Few:
     weights = jnp.sqrt(weight[:, None] * K)
     a, b = (weights * x for x in (seen.equilibria, seen.modes))
     size = jnp.sqrt(jnp.sum(a**2) / jnp.maximum(jnp.sum(seen.solved), 1.0))
-    each = jnp.linalg.norm(b, axis=(1, 2), keepdims=True)
+    each = jnp.linalg.norm(b, axis=(2, 3), keepdims=True)
     own = jnp.sqrt(_OF_MODES) * jnp.where(size > 0, size, 1.0)
+    # The slower, the more: of modes that count alike any mixture would be kept.
+    own = own / jnp.arange(1, b.shape[1] + 1)[:, None, None] / jnp.sqrt(b.shape[0])
     a = a / jnp.sqrt(jnp.maximum(jnp.sum(seen.solved), 1.0))
-    together = jnp.concatenate([a, own * b / each / jnp.sqrt(b.shape[0])])
+    together = jnp.concatenate([a, (own * b / each).reshape(-1, *a.shape[1:])])
     _, values, vectors = jnp.linalg.svd(
         together.reshape(together.shape[0], -1), full_matrices=False
     )
