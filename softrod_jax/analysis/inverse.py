@@ -1,7 +1,5 @@
 """The inverse problem: which inputs bring the tip, or a marker, to where it should be."""
 
-from collections.abc import Mapping
-
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -9,6 +7,7 @@ import numpy as np
 from jaxtyping import Array, Float, Int, Real
 
 from softrod_jax.analysis.least_effort import least_effort
+from softrod_jax.analysis.limits import Limits, checked_limits, spread_out
 from softrod_jax.analysis.near_rest import check_smooth
 from softrod_jax.analysis.targets import Known, Problem, answered, missed
 from softrod_jax.bvp.collocation import Collocation
@@ -19,10 +18,8 @@ from softrod_jax.foundation.precision import require_float64
 from softrod_jax.foundation.results import RESULTS, raise_unless_successful
 from softrod_jax.rod.rotations import turn_between
 from softrod_jax.scene.checks import checked_scene
-from softrod_jax.scene.inputs import KINDS, Inputs, whole_number
+from softrod_jax.scene.inputs import whole_number
 from softrod_jax.scene.scene import Scene
-
-Limits = Mapping[str, tuple]
 
 # Which of the samples, by their distance, are starts until a search reaches its target. Neighbours
 # often lead to the same place.
@@ -98,7 +95,7 @@ def inverse(
     require_float64("inverse")
     scene = checked_scene("inverse", scene)
     check_smooth("inverse", scene)
-    low, high = _checked_limits(scene, limits)
+    low, high = checked_limits("inverse", scene, limits)
     places = ["tip", *(marker.name for marker in scene.markers or ())]
     if of not in places:
         raise ValueError(f"inverse: of={of!r} is not a marker of this scene; use one of {places}")
@@ -112,7 +109,7 @@ def inverse(
         quaternion = None if quaternion is None else quaternion[None]
     without_derivatives((scene, low, high, target, quaternion))
     problem = Problem(scene, low, high, jnp.asarray(tolerance, dtype=float), of, method, newton)
-    known = problem.solved(jnp.asarray(_spread_out(samples, problem.rest.shape[0])))
+    known = problem.solved(jnp.asarray(spread_out(samples, problem.rest.shape[0])))
     x, iterations = _search(problem, known, target, quaternion, path, starts)
     found = _answers(problem, x, iterations, target, quaternion, samples)
     if one:
@@ -196,14 +193,6 @@ def _answers(problem: Problem, x, iterations, target, quaternion, block: int) ->
     )
 
 
-def _spread_out(count: int, m: int) -> np.ndarray:
-    """Points in [0, 1]^m, (count, m): multiples of powers of a root of x^(m+1) = x + 1."""
-    root = 1.5
-    for _ in range(60):
-        root = (1 + root) ** (1 / (m + 1))
-    return (0.5 + np.arange(1, count + 1)[:, None] * root ** -np.arange(1.0, m + 1)) % 1.0
-
-
 @jax.custom_jvp
 def without_derivatives(values):
     """Nothing; differentiated, it raises."""
@@ -215,37 +204,6 @@ def _refuse(primals, tangents):
     raise ValueError(
         "inverse: has no derivatives; take actuation_jacobian at the inputs that it finds"
     )
-
-
-def _checked_limits(scene: Scene, limits: Limits) -> tuple[Inputs, Inputs]:
-    kinds = {kind.name: kind for kind in KINDS}
-    if not isinstance(limits, Mapping) or not limits:
-        offered = ", ".join(f'"{name}"' for name, kind in kinds.items() if kind.count(scene))
-        raise ValueError(f"inverse: limits={limits!r}; a dictionary is needed, with {offered}")
-    low, high = {}, {}
-    for name, given in limits.items():
-        kind = kinds.get(name)
-        if kind is None or not kind.count(scene):
-            raise ValueError(f"inverse: limits for {name!r}, of which the scene has none")
-        count = kind.count(scene)
-        try:
-            pair = [jnp.asarray(x, dtype=float) for x in given]
-            lowest, highest = (jnp.broadcast_to(x, (count,)) for x in pair)
-        except (TypeError, ValueError):
-            raise ValueError(
-                f"inverse: limits[{name!r}] = {given!r}; a lowest and a highest value are needed, "
-                f"each a number or {count} of them"
-            ) from None
-        if not np.all(np.asarray(highest) > np.asarray(lowest)) or not np.all(
-            np.isfinite([lowest, highest])
-        ):
-            raise ValueError(f"inverse: limits[{name!r}] = {given!r}; expected lowest < highest")
-        if np.min(lowest) < kind.at_least:
-            raise ValueError(
-                f"inverse: limits[{name!r}] = {given!r}; {kind.reason}: at least {kind.at_least:g}"
-            )
-        low[name], high[name] = lowest, highest
-    return Inputs(**low), Inputs(**high)
 
 
 def _checked_target(target, quaternion):

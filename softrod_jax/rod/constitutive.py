@@ -196,7 +196,8 @@ def _hessian(problem: LocalProblem, x):
     return sum((term.hessian(x) for term in problem.terms), _diagonal(problem.k))
 
 
-def _energy(problem: LocalProblem, x):
+def potential(problem: LocalProblem, x: Strain) -> Float[Array, "*points"]:
+    """What is least at the solution, per unit of rod [N]."""
     quadratic = jnp.sum((0.5 * problem.k * x - problem.b) * x, -1)
     return sum((term.value(x) for term in problem.terms), quadratic)
 
@@ -255,7 +256,7 @@ def _minimise(problem: LocalProblem, guess):
         size = jnp.max(jnp.abs(step) / scale, -1)
         slope = jnp.sum(step * g, -1)
         trial = x + _STEP_LENGTHS.reshape(-1, *[1] * x.ndim) * step
-        drop = _energy(problem, trial) - _energy(problem, x)
+        drop = potential(problem, trial) - potential(problem, x)
         wanted = 1e-4 * _STEP_LENGTHS.reshape(-1, *[1] * slope.ndim) * slope
         # Near the solution energies differ by rounding only: take the full step there.
         good = (drop <= wanted) | (size < 1e-3)
