@@ -57,7 +57,9 @@ def snapshots(problem: Problem, x: Float[Array, "samples m"], about: int, count:
         jnp.broadcast_to(rod.rest_strain, known.guess.strain.shape[1:]), rod
     )
     solved = answered(known.result) & jnp.all(jnp.isfinite(beyond), (1, 2))
-    found = jax.lax.map(lambda at: _modes(problem, *at, count), (x[:about], beyond[:about]))
+    found = jax.lax.map(
+        lambda at: _modes(problem, at[0], at[1], count), (x[:about], beyond[:about])
+    )
     good = jnp.where(solved[:, None, None], beyond, 0.0)
     return Snapshots(good, solved.astype(float), found)
 

@@ -174,14 +174,15 @@ class ReducedRod(eqx.Module):
         """
         who = "ReducedRod.simulate"
         dt, given = time_step(who, dt), Inputs(tensions, pressures, pulls)
-        rows = {x.shape[0] for x in checked_inputs(who, self.scene, given, 2) if x is not None}
+        checked = checked_inputs(who, self.scene, given, 2)
+        rows = {jnp.asarray(x).shape[0] for x in checked if x is not None}
         rows |= set() if steps is None else {whole_number(who, "steps", steps)}
         if len(rows) != 1:
             raise ValueError(
                 f"{who}: {sorted(rows)} steps; inputs and `steps` have to say the same"
             )
         count = rows.pop()
-        inputs = filled(self.scene, checked_inputs(who, self.scene, given, 2), (count,))
+        inputs = filled(self.scene, checked, (count,))
         found = _simulate(self, dt, inputs, initial, count)
         if throw:
             found = raise_unless_successful(found.result, found, who)
@@ -235,8 +236,8 @@ def reduce_nonlinear(
     scene in a plane the strains stay in it.
 
     Raises `ValueError` for less than one coordinate or more than there are, for limits that
-    `inverse` refuses, for dry friction and backlash, and for tendons driven by length that do not
-    stretch.
+    `inverse` refuses, for dry friction and backlash, for conditions of one's own, and for tendons
+    driven by length that do not stretch.
     """
     who = "reduce_nonlinear"
     require_float64(who)
@@ -265,6 +266,8 @@ def reduce_nonlinear(
 def _in_space(who: str, scene: Scene) -> Scene:
     """The scene without its plane, which its strains do not leave."""
     check_smooth(who, scene)
+    if scene.conditions is not None:
+        raise ValueError(f"{who}: conditions on the whole rod are not offered here; leave them out")
     tendons = scene.tendons
     for i in driven_by_length(tendons):
         if tendons is not None and (tendons.stiffness is None or tendons.stiffness[i] is None):
@@ -375,7 +378,7 @@ def _equilibrium(model: ReducedRod, inputs: Inputs) -> ReducedState:
         weight = None if rod.weight is None else level * rod.weight
         now = dataclasses.replace(now, weight=weight)
         still = jnp.zeros_like(q)
-        residual = lambda given, q: imbalances(*given, Motion(q, still, still))
+        residual = lambda given, q: imbalances(given[0], given[1], Motion(q, still, still))
         search = Search.new(q.size, good)
         given = basis, laws(basis, now, None)
         q, search = solve_few(residual, given, jax.lax.stop_gradient(q), search, model.tolerance)

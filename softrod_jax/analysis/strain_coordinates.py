@@ -27,6 +27,7 @@ from jaxtyping import Array, Float
 
 from softrod_jax.rod.constants import PointLoad, Rod, full_strain, inner_strain
 from softrod_jax.rod.constitutive import LocalProblem, imbalance, local_problem, potential
+from softrod_jax.rod.given_lengths import GivenLengths
 from softrod_jax.rod.grid import Grid
 from softrod_jax.rod.relaxation import Crept
 from softrod_jax.rod.rotations import (
@@ -217,7 +218,8 @@ def imbalances(basis: StrainBasis, laws: Laws, motion: Motion) -> Coordinates:
 def tensions_by_length(basis: StrainBasis, rod: Rod, strain: Float[Array, "points 6"]):
     """Of tendons whose lengths are given and which stretch [N]."""
     lengths = rod.constraint
-    assert lengths is not None and lengths.compliance is not None, "tendons that stretch"
+    assert isinstance(lengths, GivenLengths), "conditions of one's own are refused"
+    assert lengths.compliance is not None, "tendons that stretch"
     slack = jnp.zeros(lengths.count)
     gaps = lengths.gaps(rod, inner_strain(strain, rod), slack, basis.weights)
     return jnp.maximum(-gaps / lengths.compliance, 0.0)
