@@ -6,11 +6,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from plain_rod import E, L, R, rod
 
 import softrod_jax as sr
-from softrod_jax.scene.scene import as_arrays
 
-L, R, E = 0.1, 6e-3, 5e4
 EI = E * np.pi * R**4 / 4
 METHOD = sr.Collocation(6)
 MOMENT = 1.2 * EI / L
@@ -33,18 +32,6 @@ class Cord(sr.AbstractCondition):
 
     def density(self, v, u, s):
         return jnp.linalg.norm(v + jnp.cross(u, jnp.append(self.place, 0.0)))
-
-
-def rod(**changes):
-    own = dict(
-        length=L,
-        section=sr.Circle(R),
-        young_modulus=E,
-        poisson_ratio=0.49,
-        density=1070.0,
-        bending_damping=1e-6,
-    )
-    return as_arrays(sr.Scene(**(own | changes)))
 
 
 def stopped(limit, modulus=E, **changes):

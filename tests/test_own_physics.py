@@ -12,6 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from jax.test_util import check_grads
+from plain_rod import E, L, R, rod
 
 import softrod_jax as sr
 from softrod_jax.rod.reduction import make_rod
@@ -21,7 +22,6 @@ from softrod_jax.scene.scene import as_arrays
 from softrod_jax.stepping.scheme import AbstractTimeScheme, LocalErrors, combine
 
 METHOD = sr.Collocation(6)
-L, R, E = 0.1, 6e-3, 5e4
 EA, EI = E * np.pi * R**2, E * np.pi * R**4 / 4
 
 
@@ -91,18 +91,6 @@ class Water(sr.AbstractDistributedLoad):
 
     def wrench(self, here):
         return -self.C * here.velocity * jnp.abs(here.velocity), jnp.zeros(3)
-
-
-def rod(**changes):
-    own = dict(
-        length=L,
-        section=sr.Circle(R),
-        young_modulus=E,
-        poisson_ratio=0.49,
-        density=1070.0,
-        bending_damping=1e-6,
-    )
-    return as_arrays(sr.Scene(**(own | changes)))
 
 
 WEIGHT = 1070.0 * np.pi * R**2 * 9.81

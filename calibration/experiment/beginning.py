@@ -17,7 +17,7 @@ from calibration.data.onset import start_position, white_noise
 from calibration.data.recording import Recording
 from calibration.experiment.bulk import bulk
 from calibration.experiment.hand import held
-from calibration.experiment.setup import rotated
+from softrod_jax.rod.rotations import to_base
 from softrod_jax.scene.tendons import driven_by_length
 
 # A tip this part of the length from the straight rod's may be the straight one's, seen by a marker
@@ -110,7 +110,7 @@ def _linear_deflection(scene: sr.Scene, recording: Recording) -> Float[np.ndarra
         """The vector in the frame of the clamp (-1), or back in the base frame (1)."""
         vector = jnp.zeros(3) if vector is None else jnp.asarray(vector, dtype=float)
         own = None if h is None else jnp.array(h * [1, sense, sense, sense])
-        return np.asarray(vector if own is None else rotated(own, vector))
+        return np.asarray(vector if own is None else to_base(own, vector))
 
     gravity = seen(scene.gravity, -1)
     weight = float(rod.mass) * gravity

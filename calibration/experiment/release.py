@@ -15,8 +15,7 @@ from jaxtyping import Array, Float
 
 import softrod_jax as sr
 from calibration.experiment.bulk import bulk
-from calibration.experiment.setup import rotated
-from softrod_jax.rod.rotations import conjugate
+from softrod_jax.rod.rotations import conjugate, to_base
 
 # Distance of the tendon from the axis, in lengths of the rod: far, so that it hardly compresses
 # the rod, and near enough not to matter for a curvature of 1 / length.
@@ -34,7 +33,7 @@ def with_supporting_hand(
     assert gravity is not None, "a release is one under gravity"
     if scene.base_quaternion is not None:
         inverse = conjugate(scene.base_quaternion)
-        gravity = rotated(inverse, gravity)
+        gravity = to_base(inverse, gravity)
     across = gravity[:2]
     size = jnp.sqrt(jnp.sum(across**2) + 1e-12)
     L = scene.length

@@ -10,7 +10,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 import softrod_jax as sr
-from softrod_jax.rod.rotations import quaternion_exp, quaternion_product
+from softrod_jax.rod.rotations import quaternion_exp, quaternion_product, to_base
 from softrod_jax.scene.inputs import KINDS, Inputs
 
 
@@ -73,7 +73,7 @@ class Setup(eqx.Module):
         changes = {}
         if self.gravity_tilt is not None:
             assert scene.gravity is not None, "what is tilted is there"
-            changes["gravity"] = rotated(quaternion_exp(self.gravity_tilt), scene.gravity)
+            changes["gravity"] = to_base(quaternion_exp(self.gravity_tilt), scene.gravity)
         if self.clamp_rotation is not None:
             turned = quaternion_exp(self.clamp_rotation)
             was = scene.base_quaternion
@@ -85,7 +85,7 @@ class Setup(eqx.Module):
             assert scene.payload is not None, "what is shifted is there"
             weight = scene.payload.mass * changes.get("gravity", scene.gravity)
             base = changes.get("base_quaternion", scene.base_quaternion)
-            arm = self.payload_offset if base is None else rotated(base, self.payload_offset)
+            arm = self.payload_offset if base is None else to_base(base, self.payload_offset)
             load = sr.TipLoad() if scene.tip_load is None else scene.tip_load
             moment = jnp.cross(arm, weight) + (0.0 if load.moment is None else load.moment)
             changes["tip_load"] = sr.TipLoad(load.force, moment)
@@ -122,7 +122,7 @@ class Setup(eqx.Module):
     def seen_direction(self, a: Float[Array, "*#n 3"]) -> Float[Array, "*#n 3"]:
         """A vector of the base frame as the cameras see it."""
         rotation = self.camera_rotation
-        return a if rotation is None else rotated(quaternion_exp(rotation), a)
+        return a if rotation is None else to_base(quaternion_exp(rotation), a)
 
     def seen_position(self, p: Float[Array, "*#n 3"]) -> Float[Array, "*#n 3"]:
         """A place [m] as the cameras see it."""
@@ -177,9 +177,3 @@ def lagged(
 
     _, means = jax.lax.scan(step, commanded[0], commanded[1:])
     return jnp.concatenate([commanded[:1], means])
-
-
-def rotated(h: Float[Array, "*#n 4"], a: Float[Array, "*#n 3"]) -> Float[Array, "*#n 3"]:
-    """`a` turned by the unit quaternion `h` (w, x, y, z)."""
-    w, r = h[..., :1], h[..., 1:]
-    return a + 2 * jnp.cross(r, jnp.cross(r, a) + w * a)

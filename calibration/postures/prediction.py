@@ -13,11 +13,11 @@ from jaxtyping import Array, Bool, Float
 import softrod_jax as sr
 from calibration.data.quantities import quantities_of, unit_noise
 from calibration.experiment.quantities import simulated
-from calibration.experiment.setup import Setup, rotated
+from calibration.experiment.setup import Setup
 from calibration.parameters.catalogue import moved, parameters_of
 from calibration.parameters.parameter import AbstractParameter
 from calibration.postures.data import NOISE, TURN, Postures, attitude_of
-from softrod_jax.rod.rotations import turn_between
+from softrod_jax.rod.rotations import to_base, turn_between
 from softrod_jax.scene.inputs import Inputs
 from softrod_jax.scene.tendons import rubbing
 
@@ -218,7 +218,7 @@ def _seen(setup: Setup, solution, markers, others) -> Seen:
     quaternions = stacked([pose.quaternion for pose in poses], 4)
     if setup.sensor_offset is not None and "tip" in markers:
         tip = markers.index("tip")
-        at = positions[tip] + rotated(quaternions[tip], setup.sensor_offset)
+        at = positions[tip] + to_base(quaternions[tip], setup.sensor_offset)
         positions = positions.at[tip].set(at)
     positions, quaternions = setup.seen_position(positions), setup.seen_attitude(quaternions)
     more = [jnp.zeros(0), *(simulated(setup.scene, solution, key) for key in others)]

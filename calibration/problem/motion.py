@@ -12,8 +12,9 @@ import softrod_jax as sr
 from calibration.data.carried import BASE, at_first, moves_of
 from calibration.experiment.quantities import simulated_in_time
 from calibration.experiment.release import with_supporting_hand
-from calibration.experiment.setup import Setup, rotated
+from calibration.experiment.setup import Setup
 from calibration.problem.batch import Batch
+from softrod_jax.rod.rotations import to_base
 
 # The scheme of fits, and the grid with which they begin (`calibration.problem.resolution`). An
 # order 4 in time at 10 ms shifts the modulus of a 100 mm silicone beam ringing at 8 Hz by 0.01 %;
@@ -84,8 +85,8 @@ def simulate_motion(setup: Setup, batch: Batch, scheme, method) -> Motion:
     if setup.sensor_offset is not None:
         attitude = trajectory.quaternions[:, -1]
         turning = jnp.cross(trajectory.velocities[:, -1, 3:], setup.sensor_offset)
-        positions = positions + rotated(attitude, setup.sensor_offset)
-        velocities = velocities + rotated(attitude, turning)
+        positions = positions + to_base(attitude, setup.sensor_offset)
+        velocities = velocities + to_base(attitude, turning)
     positions, velocities = setup.seen_position(positions), setup.seen_direction(velocities)
     error = jax.lax.stop_gradient(jnp.max(trajectory.stats["error"]))
     others = [simulated_in_time(setup, trajectory, key) for key in batch.keys]

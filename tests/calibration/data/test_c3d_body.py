@@ -7,7 +7,7 @@ from test_rigid import MEANT
 
 from calibration import RecordingError, load_recording
 from calibration.data.rigid import quaternions_of
-from calibration.experiment.setup import rotated
+from softrod_jax.rod.rotations import to_base
 
 LABELS = [f"Tip - {k + 1}" for k in range(len(MEANT))]
 ANGLES = 0.4 * np.concatenate([np.zeros(40), np.sin(0.15 * np.arange(120))])
@@ -38,7 +38,7 @@ def test_the_pose_of_the_body(tmp_path):
     rows = np.arange(len(R)) != 90
     assert np.isnan(turns[90]).all() and np.isnan(found.tip_positions[90]).all()
     for axis in np.eye(3):
-        there = np.asarray(rotated(turns, np.broadcast_to(axis, (len(R), 3))))
+        there = np.asarray(to_base(turns, np.broadcast_to(axis, (len(R), 3))))
         np.testing.assert_allclose(there[rows], (R @ axis)[rows], atol=1e-5)
     # The middle of the markers, which is off the axis, moves as the body has it.
     middle = tip + R @ MEANT.mean(0)
@@ -69,7 +69,7 @@ def test_quaternions_of_turns_of_any_size():
     q[:8, 0] = 0.0
     q[:4, 1:] = [[1, 0, 0], [0, 1, 0], [0, 0, 1], [1, 1, 0]]
     q = q / np.linalg.norm(q, axis=1, keepdims=True)
-    R = np.stack([np.asarray(rotated(q, np.broadcast_to(e, (200, 3)))) for e in np.eye(3)], axis=2)
+    R = np.stack([np.asarray(to_base(q, np.broadcast_to(e, (200, 3)))) for e in np.eye(3)], axis=2)
     found = quaternions_of(R)
     np.testing.assert_allclose(np.abs(np.sum(found * q, axis=1)), 1.0, atol=1e-12)
     assert np.all(found[:, 0] >= 0)

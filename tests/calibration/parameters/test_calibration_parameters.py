@@ -9,13 +9,14 @@ from beams import SETTINGS
 
 import softrod_jax as sr
 from calibration import Recording
-from calibration.experiment.setup import Setup, rotated
+from calibration.experiment.setup import Setup
 from calibration.parameters.catalogue import catalogue, choose, prepared, with_values
 from calibration.parameters.scales import Between, Factor, Shift
 from calibration.parameters.unknowns import choose_unknowns
 from calibration.problem.dataset import datasets
 from calibration.problem.evaluation import predict, reverse_pays
 from calibration.problem.problem import make_problem
+from softrod_jax.rod.rotations import to_base
 from softrod_jax.scene.inputs import Inputs
 from softrod_jax.scene.scene import as_arrays
 
@@ -84,10 +85,10 @@ def test_a_setup_turns_gravity_and_clamp():
     )
     turned = setup.simulated_scene()
     np.testing.assert_allclose(turned.gravity, [-0.5, -9.81, 0.0], atol=1e-7)
-    axis = rotated(scene.base_quaternion, jnp.array([0.0, 0.0, 1.0]))
+    axis = to_base(scene.base_quaternion, jnp.array([0.0, 0.0, 1.0]))
     expected = [axis[2], axis[1], -axis[0]]
     np.testing.assert_allclose(
-        rotated(turned.base_quaternion, jnp.array([0.0, 0.0, 1.0])), expected, atol=1e-7
+        to_base(turned.base_quaternion, jnp.array([0.0, 0.0, 1.0])), expected, atol=1e-7
     )
     np.testing.assert_allclose(turned.base_position, [0.1, 0.0, 0.0])
     inputs = Inputs(jnp.ones((2, 3)), jnp.ones((2, 1)))
