@@ -80,6 +80,7 @@ def search_directly(
         exact_factors=not layout.dynamic,
         reused=reused,
         keep_factors=keep_factors,
+        keeping=U.multipliers is not None,
     )
     one, stable = jnp.ones((), jnp.int32), jnp.array(True)
     if not layout.dynamic:

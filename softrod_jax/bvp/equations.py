@@ -25,12 +25,15 @@ from softrod_jax.bvp.block_sweep import count_conjugate_points, factorise, solve
 from softrod_jax.bvp.complementarity import Conditions, conditions
 from softrod_jax.bvp.grid_error import wide_weights
 from softrod_jax.bvp.method import AbstractMethod, Guess
+from softrod_jax.bvp.newton import ReusedFactors
 from softrod_jax.foundation.compiling import on_cpu
 from softrod_jax.rod.boundary_conditions import tip_condition
 from softrod_jax.rod.constants import Rod
 from softrod_jax.rod.state import History, Layout, sizes
 from softrod_jax.scene.planes import vector_in
 
+# A gap counts as nearly closed where this part of the largest multiplier would close it.
+_NEARLY = 0.3
 # Eigenvalues are zero if they are this part of the largest one, or less.
 _ZERO = 1e-9
 
@@ -76,12 +79,14 @@ class Border(NamedTuple):
     """How unknowns and gaps follow the multipliers, and gaps the unknowns.
 
     `along`: -A^-1 B; `gaps_by_along`: C, for the last columns of the unknowns, as many as it has;
-    `conditions`: with S = D - C A^-1 B.
+    `conditions`: with S = D - C A^-1 B; `exact`: where `along` is that of these factors, and not
+    of others before them.
     """
 
     along: Float[Array, "conditions rows columns"]
     gaps_by_along: Float[Array, "conditions rows last"]
     conditions: Conditions
+    exact: Bool[Array, "conditions"]
 
     def following(self, x: Float[Array, "conditions"]):
         """How the unknowns along the rod follow the multipliers."""
@@ -152,8 +157,19 @@ class Equations(NamedTuple):
         strain, weights = self.fields(U).strain, self.rod.grid.weights
         return constraint.gaps(self.rod, strain, U.multipliers, weights)
 
-    def factorise(self, U: Unknowns, safe=None, single: bool = False) -> Factors:
-        """What `correct` needs; `single`: in float32."""
+    def factorise(
+        self,
+        U: Unknowns,
+        kept: ReusedFactors | None = None,
+        *,
+        safe: Bool[Array, ""] | None = None,
+        single: bool = False,
+    ) -> Factors:
+        """What `correct` needs.
+
+        `kept`: factors of which it may keep what hardly counts, where they are alike; `safe`:
+        whether the unknowns can be used; `single`: in float32.
+        """
         linear = self.method.linearise(U.along, *self._problem(U), single)
         Y = self.method.states(U.along, self.layout)
         slope = self._tip(Y).by_base_part
@@ -168,10 +184,14 @@ class Equations(NamedTuple):
         factors = Factors(factorise(left, right, slope), linear.inner, None)
         if U.multipliers is None:
             return factors
-        return factors._replace(border=self._border(U, factors, safe))
+        return factors._replace(border=self._border(U, factors, kept, safe))
 
-    def _border(self, U: Unknowns, factors: Factors, safe) -> Border:
-        """Of the multipliers `U.multipliers`, once the rod's own factors are there."""
+    def _border(self, U: Unknowns, factors: Factors, kept, safe) -> Border:
+        """Of the multipliers `U.multipliers`, once the rod's own factors are there.
+
+        How the rod follows a multiplier only counts where it is not zero, or does not stay so. To
+        see that it does, what is `kept` is good enough; where it does not, there is no correction.
+        """
         x = U.multipliers
         assert x is not None, "a rod with a constraint"
 
@@ -179,16 +199,30 @@ class Equations(NamedTuple):
             change = lambda x: self.residual(U._replace(multipliers=x))._replace(gaps=None)
             return self._correct_along(factors, jax.jvp(change, (x,), (direction,))[1])
 
-        eye = jnp.eye(x.shape[0])
+        eye, exact = jnp.eye(x.shape[0]), jnp.full(x.shape, True)
         # Several right-hand sides in lockstep take longer than in turn on a CPU.
-        along = jax.lax.map(follow, eye) if on_cpu() else jax.vmap(follow)(eye)
+        if not on_cpu():
+            along = jax.vmap(follow)(eye)
+        elif kept is None:
+            along = jax.lax.map(follow, eye)
+        else:
+            exact = self._counting(U, kept)
+            which = jnp.argsort(~exact)
+            one = lambda k, along: along.at[which[k]].set(follow(eye[which[k]]))
+            along = jax.lax.fori_loop(0, jnp.sum(exact), one, kept.factors.border.along)
         by_along = self._gaps_by_along(U)
         direct = jax.jacfwd(lambda x: self.gaps(U._replace(multipliers=x)))(x)
         if safe is not None:
             along, by_along = jnp.where(safe, along, 0.0), jnp.where(safe, by_along, 0.0)
             direct = jnp.where(safe, direct, eye)
         S = direct + _rows(by_along) @ _rows(along[..., -by_along.shape[-1] :]).T
-        return Border(along, by_along, conditions(S, x > 0))
+        return Border(along, by_along, conditions(S, x > 0), exact)
+
+    def _counting(self, U: Unknowns, kept: ReusedFactors) -> Bool[Array, "conditions"]:
+        """Which multipliers are not zero, or may soon not be."""
+        border, x = kept.factors.border, U.multipliers
+        closed = jnp.diagonal(border.conditions.S) * jnp.max(x)
+        return (x > 0) | (self.gaps(U) < _NEARLY * closed) | ~kept.alike
 
     def _gaps_by_along(self, U: Unknowns) -> Float[Array, "conditions rows last"]:
         constraint, n = self.rod.constraint, self.layout.size
@@ -208,13 +242,15 @@ class Equations(NamedTuple):
         return along.astype(F.tip.dtype)
 
     def correct(self, factors: Factors, F: Residual) -> Unknowns:
-        """The correction -J^-1 F of the unknowns; NaN where no multipliers can be."""
+        """The correction -J^-1 F of the unknowns; NaN where no multipliers can be, or no factors
+        are there for those that are."""
         along, border = self._correct_along(factors, F), factors.border
         if border is None:
             return Unknowns(along)
         assert F.gaps is not None and F.multipliers is not None, "those of the border"
         x, gaps = F.multipliers, F.gaps + border.gaps_following(along)
         dx = border.conditions.multipliers(gaps - border.conditions.S @ x) - x
+        dx = jnp.where(border.exact | (dx == 0), dx, jnp.nan)
         return Unknowns(along + border.following(dx), dx)
 
     def equalities(self, U: Unknowns, tight: Bool[Array, "conditions"] | None) -> Residual:

@@ -56,10 +56,15 @@ class NewtonResult(NamedTuple):
 
 
 class ReusedFactors(NamedTuple):
-    """Factors of a Jacobian like the one wanted, and whether they are (else: only their shape)."""
+    """Factors of a Jacobian like the one wanted.
+
+    `usable`: whether they may serve; `alike`: whether they are near enough to keep parts of them.
+    Where they are neither, only their shape counts.
+    """
 
     factors: Any
     usable: Bool[Array, ""]
+    alike: Bool[Array, ""] | bool = False
 
 
 class _State(NamedTuple):
@@ -74,6 +79,7 @@ class _State(NamedTuple):
     fresh: Bool[Array, ""]  # the factors are new: `step` and `size` are not known yet
     stale: Bool[Array, ""]  # the factors serve no longer
     reused: Bool[Array, ""]  # the factors are of another problem
+    kept: Bool[Array, ""]  # parts of new ones may be
 
 
 class _Problem(NamedTuple):
@@ -84,6 +90,7 @@ class _Problem(NamedTuple):
     solve: Callable
     scale: Any
     options: NewtonOptions
+    keeping: bool
 
     def goes_on(self, state: _State) -> Bool[Array, ""]:
         """Whether there is a correction to come."""
@@ -96,9 +103,10 @@ class _Problem(NamedTuple):
         """
         if given:
             # At most once, as a branch would; but in a batch only if any of its samples needs it.
+            kept = lambda old: (ReusedFactors(old, state.kept, state.kept),) if self.keeping else ()
             _, factors = jax.lax.while_loop(
                 lambda carry: carry[0],
-                lambda carry: (jnp.array(False), self.factorise(state.y)),
+                lambda carry: (jnp.array(False), self.factorise(state.y, *kept(carry[1]))),
                 (~state.reused, factors),
             )
         else:
@@ -120,6 +128,7 @@ class _Problem(NamedTuple):
         step = self.solve(factors, self.evaluate(y))
         size = size_of(step, self.scale)
         full = state.fresh | (state.damping == 1.0)
+        foreign = (state.reused | state.kept) if self.keeping else state.reused
         falls = size <= (1 - state.damping / 4) * state.size
         ratio = size / state.size
         # What the corrections to come sum up to while each is this fraction of the last one.
@@ -129,9 +138,11 @@ class _Problem(NamedTuple):
         at_rounding = full & (state.size <= _ROUNDING) & (size <= 10 * _ROUNDING)
         accept = jnp.isfinite(size) & (state.fresh | falls | small | at_rounding)
         converged = accept & full & (small | (at_rounding & ~falls & ~state.fresh))
-        # Reused factors have to show that they serve, and if not it is no fault of the problem.
+        # Reused factors have to show that they serve, and if not it is no fault of the problem;
+        # those with parts of others, too, but all that counts is there.
         converged &= ~state.reused | (~state.fresh & (ratio < _REUSE))
-        useless = state.reused & ~accept
+        converged &= ~foreign | ~state.fresh
+        useless = foreign & ~accept
         damping = jnp.where(accept, jnp.minimum(1.0, 4 * state.damping), state.damping / 4)
         failed = ~accept & ~useless & (state.fresh | (damping < options.smallest_damping))
         result = jnp.where(failed, RESULTS.diverged, RESULTS.max_iterations)
@@ -151,6 +162,8 @@ class _Problem(NamedTuple):
             fresh=jnp.array(False),
             stale=useless | (accept & ~state.fresh & ~(full & (ratio < _REUSE))),
             reused=state.reused,
+            # Where those with parts of others do not serve, the next ones are all new.
+            kept=state.kept & (~useless | state.reused),
         )
 
 
@@ -168,6 +181,7 @@ def newton(
     exact_factors: bool = False,
     reused: ReusedFactors | None = None,
     keep_factors: bool = True,
+    keeping: bool = False,
 ) -> NewtonResult:
     """Solve `evaluate(y) = F = 0` from `y`.
 
@@ -178,11 +192,13 @@ def newton(
     - `scale`: like y, or broadcast to it; corrections are measured by max |dy / scale|.
     - `exact_factors`: return the factors at the solution itself.
     - `reused`: factors to begin with; new ones are made as soon as these do not serve.
+    - `keeping`: new ones are then `factorise(y, kept)`, which may keep parts of `kept`, the last
+      ones, where these are alike.
     - `keep_factors`: without, none are returned, and the loops carry none: in a batch in lockstep
       whatever a loop carries is copied in each pass.
     """
 
-    problem = _Problem(evaluate, factorise, solve, scale, options)
+    problem = _Problem(evaluate, factorise, solve, scale, options, keeping and reused is not None)
     start = _State(
         y=y,
         step=jax.tree.map(jnp.zeros_like, y),
@@ -195,6 +211,7 @@ def newton(
         fresh=jnp.array(True),
         stale=jnp.array(False),
         reused=jnp.array(False) if reused is None else reused.usable,
+        kept=jnp.asarray(reused is not None and reused.alike),
     )
     if not keep_factors:
         factors = None

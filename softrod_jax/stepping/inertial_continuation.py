@@ -83,7 +83,10 @@ def search_by_inertia(equations: Equations, options: NewtonOptions, U, before: B
         problem = equations._replace(history=history, rod=with_loads(equations.rod, now))
         reused = None
         if before.reused is not None:
-            reused = ReusedFactors(state.factors, before.reused.usable & (state.tries == 0))
+            first = state.tries == 0
+            reused = ReusedFactors(
+                state.factors, before.reused.usable & first, before.reused.alike & first
+            )
         new, found, factors = search_directly(
             problem, options, start, reused, keep_factors=keep_factors
         )

@@ -77,8 +77,8 @@ class Progress(NamedTuple):
     - `guess`: the last solution; `multipliers`: those of it, with their derivatives; `slid`: how
       tendons with friction have slid until then.
     - `loads` and `history`: those of the last solve; `rate`: that of the strains there; `crept`:
-      what dashpots have crept there, or `None`; `factors`
-      of the last Jacobian, made with `c0`, which is 0 where they serve no longer.
+      what dashpots have crept there, or `None`; `factors` of the last Jacobian, made with `c0`,
+      which is negative where they serve no longer, and only parts of them do.
     - `stage`: of the step, on a GPU: all stages have the `factors` of the first. Else `None`.
     - `result`: the code so far. `iterations` and `correction`: in this step.
     - `error`: estimated, along the rod; `time_error`: estimated, of the tip so far, in lengths.
@@ -224,7 +224,8 @@ class MovingRod(NamedTuple):
         usable = alive & (progress.c0 == c0)
         slowed = slow_unless(alive, History(c0, *history))
         if progress.stage is None:
-            reused = ReusedFactors(progress.factors, usable)
+            alike = alive & (jnp.abs(progress.c0) == c0)
+            reused = ReusedFactors(progress.factors, usable, alike)
             before = Before(progress.loads, progress.rate, reused, crept=progress.crept)
         else:
             new = progress.stage == 0
@@ -258,7 +259,7 @@ class MovingRod(NamedTuple):
             loads=jax.lax.stop_gradient(loads_of(rod)),
             rate=jax.lax.stop_gradient(c0 * fields.strain + slowed.strain),
             factors=solved.factors,
-            c0=c0 if progress.stage is not None else jnp.where(found.contraction < _REUSE, c0, 0.0),
+            c0=c0 if progress.stage is not None else jnp.where(found.contraction < _REUSE, c0, -c0),
             result=jnp.where(progress.result == RESULTS.successful, result, progress.result),
             iterations=progress.iterations + found.iterations,
             correction=jnp.maximum(progress.correction, found.correction),

@@ -62,6 +62,31 @@ def test_reused_factors_do_not_make_a_start_the_solution():
     assert int(end.result) != sr.RESULTS.successful or np.allclose(end.y, [1.0, 2.0], atol=1e-9)
 
 
+@pytest.mark.parametrize("column", [[1.0, 1.0], [-1.0, -1.5], [0.0, 0.0], [np.nan, 0.0]])
+def test_parts_that_do_not_serve_are_made_again(column):
+    """Of new factors the second column is kept, which is anything."""
+
+    def factorise(y, kept):
+        J = jax.jacfwd(equations)(y)
+        return J.at[:, 1].set(jnp.where(kept.alike, kept.factors[:, 1], J[:, 1]))
+
+    given = ReusedFactors(jnp.array([[1.0, 1.0], column]).T, jnp.array(False), jnp.array(True))
+    solution = lambda J, F: -jnp.linalg.solve(J, F)
+    options = NewtonOptions()
+    end = newton(
+        equations,
+        factorise,
+        solution,
+        jnp.array([1.2, 1.7]),
+        1.0,
+        options,
+        reused=given,
+        keeping=True,
+    )
+    assert int(end.result) == sr.RESULTS.successful
+    np.testing.assert_allclose(end.y, [1.0, 2.0], atol=1e-9)
+
+
 def test_a_batch_is_a_loop():
     starts = jnp.array([[1.2, 1.7], [0.9, 2.2], [3.0, 0.0]])
     batch = jax.vmap(lambda y: solve(y, factors_at([1.0, 2.0])))(starts)
