@@ -10,6 +10,7 @@ from softrod_jax.analysis.modes import Modes as Modes
 from softrod_jax.analysis.modes import modes as modes
 from softrod_jax.analysis.reduced_rod import ReducedRod as ReducedRod
 from softrod_jax.analysis.reduced_rod import reduce_nonlinear as reduce_nonlinear
+from softrod_jax.analysis.self_distance import self_distance as self_distance
 from softrod_jax.analysis.sensitivities import actuation_jacobian as actuation_jacobian
 from softrod_jax.analysis.sensitivities import compliance as compliance
 from softrod_jax.bvp.collocation import Collocation as Collocation

@@ -107,9 +107,10 @@ def sample_distance(
     """
     require_float64("sample_distance")
     origin, counts = box_of_points("sample_distance", lower, upper, spacing)
-    function = distance
     if isinstance(distance, AbstractObstacle):
         function = map_numbers(lambda x: jnp.asarray(x, dtype=float), distance).distance
+    else:
+        function = distance
     # A layer at a time: all points at once may be more than fits.
     layer = jax.jit(lambda x: jax.vmap(jax.vmap(function))(x))
     axes = [start + spacing * np.arange(n) for start, n in zip(origin, counts, strict=True)]

@@ -44,6 +44,6 @@ def save_grid(grid: DistanceGrid, path: str | PathLike) -> None:
 
     Raises `OSError` if the file cannot be written.
     """
-    arrays = {name: np.asarray(getattr(grid, name), dtype=float) for name in _NAMES}
+    values, origin, spacing = (np.asarray(getattr(grid, name), dtype=float) for name in _NAMES)
     with whole_file(path, "wb") as file:
-        np.savez(file, **arrays)
+        np.savez(file, values=values, origin=origin, spacing=spacing)

@@ -48,7 +48,7 @@ def grid_of_mesh(
     return DistanceGrid(jnp.asarray(values), jnp.asarray(origin), jnp.asarray(float(spacing)))
 
 
-def _closed(mesh, scale: float) -> Triangles:
+def _closed(mesh: Any, scale: float) -> Triangles:
     """The triangles in metres, seen from outside; `ValueError` if they do not close."""
     try:
         import scipy.spatial  # noqa: F401 - what looks for the nearest
@@ -61,7 +61,7 @@ def _closed(mesh, scale: float) -> Triangles:
     if isinstance(mesh, str | PathLike):
         named = str(mesh)
         try:
-            mesh = trimesh.load(named, force="mesh")
+            mesh = _loaded(trimesh, named)
         except Exception as e:  # whatever its many readers say of a file that is none
             reason = getattr(e, "strerror", None) or e
             raise ValueError(f"{named}: cannot read the mesh: {reason}") from None
@@ -75,3 +75,8 @@ def _closed(mesh, scale: float) -> Triangles:
         )
     faces = np.asarray(faces) if mesh.volume > 0 else np.asarray(faces)[:, ::-1]
     return Triangles(scale * np.asarray(mesh.vertices, dtype=float), faces)
+
+
+def _loaded(trimesh: Any, path: str) -> Any:
+    """What a file holds, as one mesh; its class depends on the file."""
+    return trimesh.load(path, force="mesh")

@@ -273,7 +273,8 @@ CONTACT: Schema = {"name": Text(), **_numbers_of(Contact), "moves": Flag()}
 OBSTACLES: dict[str, tuple[type[AbstractObstacle], Schema]] = {
     name: (kind, _numbers_of(kind))
     for name, kind in (("plane", Plane), ("sphere", Sphere), ("tube", Tube))
-} | {"grid": (DistanceGrid, {"file": Text(required=True, what="the name of a file")})}
+}
+OBSTACLES["grid"] = DistanceGrid, {"file": Text(required=True, what="the name of a file")}
 OBSTACLE = Word(tuple(OBSTACLES), required=True)
 PAYLOAD, TIP_LOAD = _numbers_of(Payload), _numbers_of(TipLoad)
 

@@ -25,12 +25,12 @@ class Triangles(NamedTuple):
 
 def signed_distances(surface: Triangles, points: np.ndarray) -> np.ndarray:
     """How far each of `points` [m], (n, 3), is outside; below zero within. It needs scipy."""
-    from scipy.spatial import cKDTree
+    from scipy.spatial import KDTree
 
     corners = surface.corners[surface.faces]
     middles = corners.mean(1)
     reach = np.linalg.norm(corners - middles[:, None], axis=-1).max()
-    tree, normals = cKDTree(middles), _normals(surface)
+    tree, normals = KDTree(middles), _normals(surface)
     found, left, count = np.empty(len(points)), np.arange(len(points)), _NEAREST
     while len(left):
         count, again = min(count, len(middles)), []

@@ -76,7 +76,7 @@ def document_of(scene: Scene, file: str, stem: str) -> dict:
             for i, x in enumerate(scene.contacts)
         ]
         for table, name in zip(document["contacts"], contact_names(scene.contacts), strict=True):
-            if "file" in schema.OBSTACLES[table["shape"]][1]:
+            if "file" in schema.OBSTACLES[str(table["shape"])][1]:
                 table["file"] = _grid_file(stem, name)
     if scene.base_moves:
         document["base"] = {"moves": True}
