@@ -35,7 +35,7 @@ def signed_distances(surface: Triangles, points: np.ndarray) -> np.ndarray:
     while len(left):
         count, again = min(count, len(middles)), []
         for part in np.array_split(left, len(left) * count // _AT_ONCE + 1):
-            away, number = tree.query(points[part], k=np.arange(1, count + 1))
+            away, number = tree.query(points[part], k=count)
             found[part] = _nearest(surface, normals, points[part], number)
             # No triangle beyond those can be nearer than this.
             unsure = np.abs(found[part]) > away[:, -1] - reach
