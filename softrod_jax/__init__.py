@@ -10,6 +10,7 @@ from softrod_jax.analysis.modes import Modes as Modes
 from softrod_jax.analysis.modes import modes as modes
 from softrod_jax.analysis.reduced_rod import ReducedRod as ReducedRod
 from softrod_jax.analysis.reduced_rod import reduce_nonlinear as reduce_nonlinear
+from softrod_jax.analysis.self_distance import self_distance as self_distance
 from softrod_jax.analysis.sensitivities import actuation_jacobian as actuation_jacobian
 from softrod_jax.analysis.sensitivities import compliance as compliance
 from softrod_jax.bvp.collocation import Collocation as Collocation
@@ -36,9 +37,13 @@ from softrod_jax.scene.contacts import Contact as Contact
 from softrod_jax.scene.contacts import Plane as Plane
 from softrod_jax.scene.contacts import Sphere as Sphere
 from softrod_jax.scene.contacts import Tube as Tube
+from softrod_jax.scene.distance_grid import DistanceGrid as DistanceGrid
+from softrod_jax.scene.distance_grid import sample_distance as sample_distance
 from softrod_jax.scene.file import SceneError as SceneError
 from softrod_jax.scene.file import load_scene as load_scene
 from softrod_jax.scene.file import save_scene as save_scene
+from softrod_jax.scene.grid_file import load_grid as load_grid
+from softrod_jax.scene.grid_file import save_grid as save_grid
 from softrod_jax.scene.loads import Load as Load
 from softrod_jax.scene.loads import Marker as Marker
 from softrod_jax.scene.loads import Mass as Mass
@@ -47,6 +52,7 @@ from softrod_jax.scene.loads import TipLoad as TipLoad
 from softrod_jax.scene.materials import AbstractRubber as AbstractRubber
 from softrod_jax.scene.materials import MooneyRivlin as MooneyRivlin
 from softrod_jax.scene.materials import NeoHookean as NeoHookean
+from softrod_jax.scene.meshes import grid_of_mesh as grid_of_mesh
 from softrod_jax.scene.robots import hybrid_robot as hybrid_robot
 from softrod_jax.scene.scene import Scene as Scene
 from softrod_jax.scene.sections import Annulus as Annulus

@@ -219,6 +219,21 @@ def note(message: str) -> None:
     print(f"softrod: note: {message}", file=sys.stderr)
 
 
+def note_self_contact(scene, found, known: int | None = None) -> None:
+    """A note where the rod passes through itself, in a solution or a motion known so far."""
+    import jax
+    import numpy as np
+
+    import softrod_jax as sr
+
+    gaps = np.atleast_1d(jax.jit(sr.self_distance)(scene, found))[:known]
+    if len(gaps) and (least := np.min(gaps)) < 0:
+        note(
+            f"the rod passes through itself, {-1e3 * least:.3g} mm deep: no force keeps its parts "
+            "apart, and this is no state that a rod can be in"
+        )
+
+
 def print_json(content: dict) -> None:
     """`content` on stdout; numbers that are not finite become null, which JSON can carry."""
     print(json.dumps(_finite(content)))

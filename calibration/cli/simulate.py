@@ -20,6 +20,7 @@ from calibration.cli.common import (
     given_inputs,
     grid,
     note,
+    note_self_contact,
     positive,
     prepare_jax,
     print_json,
@@ -190,6 +191,7 @@ def run(args) -> int:
             f"the tip's error is estimated at {error:.2g} lengths of the rod: take a smaller --dt, "
             "or give a --tolerance"
         )
+    note_self_contact(scene, traj, None if failed_step is None else failed_step + 1)
     only_known = lambda values: [
         x if there else None for x, there in zip(np.asarray(values).tolist(), known, strict=True)
     ]

@@ -9,6 +9,7 @@ from calibration.cli.common import (
     add_grid,
     grid,
     note,
+    note_self_contact,
     prepare_jax,
     print_json,
     reason,
@@ -60,6 +61,8 @@ def run(args) -> int:
     )
     if succeeded and not stable:
         note(UNSTABLE)
+    if succeeded:
+        note_self_contact(scene, sol)
     return 0 if succeeded else 1
 
 

@@ -49,7 +49,7 @@ def rod_axes(
     body = body_of(scene, POINTS)
     line = line_along(shapes, body.arc)
     heads = [at + arrow for at, arrow in _arrows(scene, body, line)]
-    obstacles = [x.grid for x in surfaces_of(scene, line.p.reshape(-1, 3)).values()]
+    obstacles = [x.faces for x in surfaces_of(scene, line.p.reshape(-1, 3)).values()]
     points = np.concatenate([x.reshape(-1, 3) for x in (line.p, *heads, *obstacles)])
     if not np.all(np.isfinite(points)):
         raise ValueError("rod_axes: the shapes have positions that are not finite")
@@ -182,9 +182,9 @@ def draw_obstacles(axes, scene: Scene, places, poses: Mapping[int, np.ndarray] |
     size, drawn = unit_of(scene)[0], []
     for i, surface in surfaces_of(scene, places).items():
         pose = (poses or {}).get(i)
-        grid = surface.grid if pose is None else carried(surface.grid, pose)
+        faces = surface.faces if pose is None else carried(surface.faces, pose)
         alpha = 0.12 if surface.inside else 0.35
-        drawn.append(_lit(size * faces_of(grid), _OBSTACLE, alpha, 0.5))
+        drawn.append(_lit(size * faces, _OBSTACLE, alpha, 0.5))
         axes.add_collection3d(drawn[-1])
     return drawn
 

@@ -128,15 +128,24 @@ def _tendons(body: Body) -> list[dict]:
 
 
 def _obstacles(scene: Scene, places, courses, size: float, shown) -> list[dict]:
-    """Grids of points, and where they are carried at the moments that are shown."""
+    """Faces, and where they are carried at the moments that are shown."""
     found = []
     for i, surface in surfaces_of(scene, places).items():
         moved = None
         if i in courses:
             rows = courses[i][shown]
             moved = {"by": _rounded(size * rows[:, :3]), "turned": _rounded(rows[:, 3:])}
-        found.append({"name": surface.name, "grid": _rounded(size * surface.grid),
-                      "inside": surface.inside, "moved": moved})  # fmt: skip
+        # Corners once, however many faces they are of.
+        corners, numbers = np.unique(surface.faces.reshape(-1, 3), axis=0, return_inverse=True)
+        found.append(
+            {
+                "name": surface.name,
+                "corners": _rounded(size * corners),
+                "faces": numbers.reshape(-1, 4).tolist(),
+                "inside": surface.inside,
+                "moved": moved,
+            }
+        )
     return found
 
 

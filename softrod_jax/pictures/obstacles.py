@@ -1,4 +1,4 @@
-"""Obstacles as they are drawn: of each what is near the rod, as a grid of points, and its course.
+"""Obstacles as they are drawn: of each what is near the rod, as grids of points, and its course.
 
 A shape of one's own is not drawn: its surface is not known.
 """
@@ -8,7 +8,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from softrod_jax.pictures.zero_surface import is_around, zero_faces
 from softrod_jax.scene.contacts import Plane, Sphere, Tube, contact_names
+from softrod_jax.scene.distance_grid import DistanceGrid
 from softrod_jax.scene.poses import PosesLike, checked_poses
 from softrod_jax.scene.scene import Scene, as_arrays
 
@@ -18,13 +20,13 @@ _FLAT, _ROUND = 9, 24  # points along an edge, and around a circle
 
 
 class Surface(NamedTuple):
-    """Of one obstacle: a grid of points [m], (rows, columns, 3), where the scene has it.
+    """Of one obstacle: its faces [m], (faces, 4, 3), where the scene has it.
 
     `inside`: whether the rod is inside of it.
     """
 
     name: str
-    grid: np.ndarray
+    faces: np.ndarray
     inside: bool
 
 
@@ -41,9 +43,14 @@ def surfaces_of(scene: Scene, places: np.ndarray) -> dict[int, Surface]:
                 grid = _sphere(np.asarray(center), float(radius), places, size)
             case Tube(axis=axis, radius=radius):
                 grid = _tube(np.asarray(axis), float(radius), places)
+            case DistanceGrid() as distances:
+                faces = zero_faces(distances, places, size)
+                if len(faces):
+                    found[i] = Surface(name, faces, is_around(distances))
+                continue
             case _:
                 continue
-        found[i] = Surface(name, grid, isinstance(contact.obstacle, Tube))
+        found[i] = Surface(name, faces_of(grid), isinstance(contact.obstacle, Tube))
     return found
 
 
@@ -68,11 +75,11 @@ def courses_by_number(
     return {i: np.concatenate([start, rows]) for i, rows in courses.items()}
 
 
-def carried(grid: np.ndarray, pose: np.ndarray) -> np.ndarray:
-    """A grid where a pose, (7,), has carried it."""
+def carried(points: np.ndarray, pose: np.ndarray) -> np.ndarray:
+    """Points, (.., 3), where a pose, (7,), has carried them."""
     p, (w, *v) = pose[:3], pose[3:]
-    across = np.cross(v, grid)
-    return grid + 2 * (w * across + np.cross(v, across)) + p
+    across = np.cross(v, points)
+    return points + 2 * (w * across + np.cross(v, across)) + p
 
 
 def faces_of(grid: np.ndarray) -> np.ndarray:

@@ -15,10 +15,11 @@ from jax.core import Tracer
 from softrod_jax.foundation.precision import require_float64
 from softrod_jax.foundation.whole_files import whole_file
 from softrod_jax.scene.checks import impossible
+from softrod_jax.scene.grid_file import load_grid, save_grid
 from softrod_jax.scene.reading import scene_of
 from softrod_jax.scene.scene import Scene
 from softrod_jax.scene.schema import SceneError, complaint
-from softrod_jax.scene.writing import document_of, toml
+from softrod_jax.scene.writing import document_of, grids_of, toml
 
 __all__ = ["SceneError", "load_scene", "save_scene"]
 
@@ -57,11 +58,13 @@ def load_scene(path: str | PathLike) -> Scene:
         ) from None
     # Its numbers are known, also where something is traced.
     with jax.ensure_compile_time_eval():
-        return scene_of(document, f"{path}:")
+        return scene_of(document, f"{path}:", lambda name: load_grid(Path(path).parent / name))
 
 
 def save_scene(scene: Scene, path: str | PathLike) -> None:
     """Write `scene` to `path`, so that `load_scene(path)` gives the same numbers, bit by bit.
+
+    Distances on a grid are written beside it, to a .npz with the names of the file and the contact.
 
     Raises `SceneError` if the scene could not be read back (an impossible value, a batch of
     scenes, tendons or paths of a class of one's own) and `OSError` if the file cannot be written.
@@ -71,7 +74,10 @@ def save_scene(scene: Scene, path: str | PathLike) -> None:
     with jax.ensure_compile_time_eval():
         for key, value, remedy in impossible(scene):
             raise SceneError(complaint(f"{path}: {key}", value, remedy))
-        document = document_of(scene, f"{path}:")
-        scene_of(document, f"{path}:")
+        stem = Path(path).stem
+        document, grids = document_of(scene, f"{path}:", stem), grids_of(scene, stem)
+        scene_of(document, f"{path}:", grids.__getitem__)
+    for name, grid in grids.items():
+        save_grid(grid, Path(path).parent / name)
     with whole_file(path, encoding="utf-8") as file:
         file.write(toml(document))

@@ -18,6 +18,7 @@ from jax.core import Tracer
 from jaxtyping import Array, Bool, Float
 
 from softrod_jax.scene.contacts import Plane, Sphere, Tube
+from softrod_jax.scene.distance_grid import DistanceGrid
 from softrod_jax.scene.materials import AbstractRubber
 from softrod_jax.scene.scene import PLANES, Scene
 from softrod_jax.scene.sections import Circle
@@ -27,6 +28,8 @@ from softrod_jax.scene.tendons import Tendons
 _ROUNDING = 1e-12
 # As far as holes on both sides of a plane may differ, in terms of the radius around them.
 _ALIKE = 1e-9
+# As far as distances on a grid may differ on both sides of a plane, in its spacings.
+_MIRRORED = 1e-6
 
 
 @overload
@@ -190,7 +193,26 @@ def fits_plane(scene: Scene) -> Bool[Array, ""]:
         fits &= ~jnp.any(_off_plane(part, jnp))
     for _, holes, radius in _holes(scene):
         fits &= _is_mirrored(holes, radius, scene.plane or PLANES[0])
+    for _, grid in _grids(scene):
+        fits &= _is_mirror_image(grid, scene, jnp)
     return fits
+
+
+def _grids(scene: Scene):
+    for i, contact in enumerate(scene.contacts or ()):
+        if isinstance(contact.obstacle, DistanceGrid):
+            yield f"contacts[{i}]", contact.obstacle
+
+
+def _is_mirror_image(grid: DistanceGrid, scene: Scene, module):
+    """Whether distances on a grid are the same on both sides of the plane through the clamp."""
+    normal = 1 - PLANES.index(scene.plane or PLANES[0])
+    spacing = module.broadcast_to(grid.spacing, (3,))[normal]
+    base = 0.0 if scene.base_position is None else scene.base_position[normal]
+    middle = grid.origin[normal] + spacing * (grid.values.shape[normal] - 1) / 2
+    apart = module.max(module.abs(grid.values - module.flip(grid.values, normal)))
+    limit = _MIRRORED * spacing
+    return (module.abs(middle - base) <= limit) & (apart <= limit)
 
 
 def _holes(scene: Scene):
@@ -234,6 +256,14 @@ def misfits(scene: Scene) -> Iterator[tuple[str, object, str]]:
                 f'not in the plane "{scene.plane}" of the scene; expected 0 for {part.names}, '
                 "or no plane",
             )
+    for key, grid in _grids(scene):
+        if not any(isinstance(x, Tracer) for x in (*vars(grid).values(), scene.base_position)):
+            if not _is_mirror_image(grid, scene, np):
+                remedy = (
+                    f'not the same on both sides of the plane "{scene.plane}" through the clamp'
+                )
+                shown = f"a grid of shape {grid.values.shape}"
+                yield f"{key}.values", shown, remedy + "; expected that, or no plane"
     for key, holes, radius in _holes(scene):
         if not isinstance(holes, Tracer) and not isinstance(radius, Tracer):
             if not _is_mirrored(holes, radius, scene.plane):

@@ -23,6 +23,7 @@ class Number:
     - `per_actuator`: the field has one such value for each actuator, as rows of one array.
     - `each`: the field has a tuple of such values or `None`, one for each actuator.
     - `rows`: the field is an array with this many rows at least, each of which is such a value.
+    - `least`: the field is an array with as many axes, and at least as many numbers along each.
     - `harmless`: what stands in for a traced value that cannot be.
     """
 
@@ -35,6 +36,7 @@ class Number:
     per_actuator: bool = False
     each: bool = False
     rows: int = 0
+    least: tuple[int, ...] = ()
     harmless: Any = 0.0
 
     def __str__(self) -> str:
@@ -50,6 +52,8 @@ class Number:
         ]
         if self.rows:
             shapes = [f"{self.rows} or more lists of {n} numbers each" for n in self.sizes]
+        if self.least:
+            shapes = [f"an array of {' x '.join(map(str, self.least))} or more numbers"]
         unit = f" [{self.unit}]" if self.unit else ""
         text = " or ".join(shapes) + unit
         return text + (", " + " and ".join(bounds) if bounds else ", finite")
@@ -68,6 +72,9 @@ class Number:
 
     def has_shape(self, shape: tuple[int, ...]) -> bool:
         """Whether an array of this shape can be such a value, or rows of them."""
+        if self.least:
+            enough = zip(shape, self.least)
+            return len(shape) == len(self.least) and all(n >= least for n, least in enough)
         if self.per_actuator or self.rows:
             if not shape or shape[0] < max(self.rows, 1):
                 return False

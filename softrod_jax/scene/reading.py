@@ -12,6 +12,7 @@ from softrod_jax.scene import schema
 from softrod_jax.scene.chambers import Chambers
 from softrod_jax.scene.checks import impossible
 from softrod_jax.scene.contacts import Contact
+from softrod_jax.scene.distance_grid import DistanceGrid
 from softrod_jax.scene.loads import Load, Marker, Mass, Payload, TipLoad
 from softrod_jax.scene.planes import misfits
 from softrod_jax.scene.scene import Scene, as_arrays
@@ -24,8 +25,11 @@ from softrod_jax.scene.tendons import Tendons
 _AT_THE_TIP = 1e-12
 
 
-def scene_of(document: dict, file: str) -> Scene:
-    """The checked scene of a parsed document; `file` begins every message."""
+def scene_of(document: dict, file: str, grid_of: Callable[[str], DistanceGrid]) -> Scene:
+    """The checked scene of a parsed document; `file` begins every message.
+
+    `grid_of`: the grid of distances by the name of its file, or a `ValueError`.
+    """
     top = read_table(document, schema.SCENE, file)
     rod = _shaped(top["rod"], schema.ROD, f"{file} rod")
     segments = [
@@ -55,7 +59,7 @@ def scene_of(document: dict, file: str) -> Scene:
             markers=[
                 Marker(**read_table(x, schema.MARKER, w)) for x, w in _each(top, "markers", file)
             ],
-            contacts=[_contact(*entry) for entry in _each(top, "contacts", file)],
+            contacts=[_contact(*entry, grid_of) for entry in _each(top, "contacts", file)],
             base_moves=base.get("moves", False),
         )
     )
@@ -195,10 +199,15 @@ def _load(table: dict, where: str) -> Load:
     return Load(**values)
 
 
-def _contact(table: dict, where: str) -> Contact:
+def _contact(table: dict, where: str, grid_of: Callable[[str], DistanceGrid]) -> Contact:
+    def of_kind(kind, own: schema.Schema, values: dict) -> Contact:
+        keys = {key: values.pop(key) for key in own}
+        obstacle = _grid(keys["file"], where, grid_of) if kind is DistanceGrid else kind(**keys)
+        return Contact(obstacle, **values)
+
     kinds = {
         word: (
-            lambda kind=kind, own=own, **values: _of_obstacle(kind, own, values),
+            lambda kind=kind, own=own, **values: of_kind(kind, own, values),
             {**own, **schema.CONTACT},
         )
         for word, (kind, own) in schema.OBSTACLES.items()
@@ -206,9 +215,11 @@ def _contact(table: dict, where: str) -> Contact:
     return _of_shape(table, schema.OBSTACLE, kinds, where)
 
 
-def _of_obstacle(kind, own: schema.Schema, values: dict) -> Contact:
-    obstacle = kind(**{key: values.pop(key) for key in own})
-    return Contact(obstacle, **values)
+def _grid(name: str, where: str, grid_of: Callable[[str], DistanceGrid]) -> DistanceGrid:
+    try:
+        return grid_of(name)
+    except ValueError as e:
+        raise SceneError(complaint(f"{where}.file", name, str(e))) from None
 
 
 def _without_nothing(scene: Scene) -> Scene:

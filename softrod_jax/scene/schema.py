@@ -13,6 +13,7 @@ import numpy as np
 
 from softrod_jax.scene.chambers import Chambers
 from softrod_jax.scene.contacts import AbstractObstacle, Contact, Plane, Sphere, Tube
+from softrod_jax.scene.distance_grid import DistanceGrid
 from softrod_jax.scene.loads import FRAMES, Load, Marker, Mass, Payload, TipLoad
 from softrod_jax.scene.materials import MooneyRivlin, NeoHookean
 from softrod_jax.scene.ranges import Number, is_required, numbers_of
@@ -135,9 +136,10 @@ class Text:
     """A name."""
 
     required: bool = False
+    what: str = "a word"
 
     def __str__(self) -> str:
-        return "a word in quotes"
+        return f"{self.what} in quotes"
 
     def read(self, value: Any, where: str) -> str:
         if not isinstance(value, str):
@@ -272,6 +274,7 @@ OBSTACLES: dict[str, tuple[type[AbstractObstacle], Schema]] = {
     name: (kind, _numbers_of(kind))
     for name, kind in (("plane", Plane), ("sphere", Sphere), ("tube", Tube))
 }
+OBSTACLES["grid"] = DistanceGrid, {"file": Text(required=True, what="the name of a file")}
 OBSTACLE = Word(tuple(OBSTACLES), required=True)
 PAYLOAD, TIP_LOAD = _numbers_of(Payload), _numbers_of(TipLoad)
 

@@ -5,6 +5,8 @@ from typing import Any
 import numpy as np
 
 from softrod_jax.scene import schema
+from softrod_jax.scene.contacts import contact_names
+from softrod_jax.scene.distance_grid import DistanceGrid
 from softrod_jax.scene.scene import Scene
 from softrod_jax.scene.schema import SceneError
 from softrod_jax.scene.tendons import Tendons
@@ -15,8 +17,19 @@ _OBSTACLES = {kind: shape for shape, (kind, _) in schema.OBSTACLES.items()}
 _PATHS = {kind: shape for shape, (kind, _) in schema.PATHS.items()}
 
 
-def document_of(scene: Scene, file: str) -> dict:
-    """The scene as the nested dictionary that its file would parse to.
+def grids_of(scene: Scene, stem: str) -> dict[str, DistanceGrid]:
+    """The grids of distances of its obstacles, by the names of their files beside its own."""
+    named = zip(contact_names(scene.contacts), scene.contacts or (), strict=True)
+    grids = {name: x.obstacle for name, x in named if isinstance(x.obstacle, DistanceGrid)}
+    return {_grid_file(stem, name): grid for name, grid in grids.items()}
+
+
+def _grid_file(stem: str, name: str) -> str:
+    return f"{stem}_{name}.npz"
+
+
+def document_of(scene: Scene, file: str, stem: str) -> dict:
+    """The scene as the nested dictionary that its file would parse to; `stem`: of its name.
 
     Raises `SceneError`, which begins with `file`, for what has no form in a file.
     """
@@ -62,6 +75,9 @@ def document_of(scene: Scene, file: str) -> dict:
             | ({"moves": True} if x.moves else {})
             for i, x in enumerate(scene.contacts)
         ]
+        for table, name in zip(document["contacts"], contact_names(scene.contacts), strict=True):
+            if "file" in schema.OBSTACLES[str(table["shape"])][1]:
+                table["file"] = _grid_file(stem, name)
     if scene.base_moves:
         document["base"] = {"moves": True}
     return document

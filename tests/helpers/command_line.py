@@ -28,7 +28,17 @@ def in_a_directory_of_its_own(tmp_path, monkeypatch):
     """Commands run in `tmp_path`; JAX's cache stays as the tests have it."""
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(common, "prepare_jax", lambda: None)
-    computing = ("solve", "simulate", "modes", "plot", "film", "view", "calibrate", "doctor")
+    computing = (
+        "solve",
+        "simulate",
+        "modes",
+        "plot",
+        "film",
+        "view",
+        "grid",
+        "calibrate",
+        "doctor",
+    )
     for command in computing:
         monkeypatch.setattr(f"calibration.cli.{command}.prepare_jax", lambda: None)
     monkeypatch.setattr("calibration.cli.waiting.FIRST", 1e6)  # however busy the machine is

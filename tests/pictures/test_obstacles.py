@@ -16,7 +16,7 @@ pytest.importorskip("matplotlib")
 from test_pictures import LENGTH, motion  # noqa: E402
 
 from softrod_jax import pictures  # noqa: E402
-from softrod_jax.pictures.obstacles import carried, faces_of, surfaces_of  # noqa: E402
+from softrod_jax.pictures.obstacles import carried, surfaces_of  # noqa: E402
 from softrod_jax.scene.scene import as_arrays  # noqa: E402
 
 PLACES = np.linspace([0.0, 0.0, 0.0], [0.02, 0.0, LENGTH], 7)
@@ -25,6 +25,9 @@ SHAPES = {
     "ball": sr.Sphere([0.03, 0.01, 0.0], 0.02),
     "large": sr.Sphere([5.0, 0.0, 0.0], 4.9),
     "tube": sr.Tube([[0.0, 0.0, 0.0], [0.0, 0.0, 0.03], [0.01, 0.0, 0.06]], 0.04),
+    "grid": sr.sample_distance(
+        sr.Sphere([0.03, 0.01, 0.0], 0.02), [0.0, -0.02, -0.03], [0.06, 0.04, 0.03], 5e-3
+    ),
 }
 
 
@@ -49,11 +52,11 @@ def moving():
 def test_a_surface_is_where_the_distance_is_zero(name):
     scene = as_arrays(touched(SHAPES[name]))
     (surface,) = surfaces_of(scene, PLACES).values()
-    points = surface.grid.reshape(-1, 3)
+    points = surface.faces.reshape(-1, 3)
     distance = jax.vmap(scene.contacts[0].obstacle.distance)(points)
     # A circle where two pieces of a tube meet, halfway across both of them, is inside of either.
     half = np.arctan2(0.01, 0.03) / 2
-    tolerance = 0.04 * (1 - np.cos(half)) + 1e-12 if name == "tube" else 1e-12
+    tolerance = {"tube": 0.04 * (1 - np.cos(half)) + 1e-12, "grid": 1e-9}.get(name, 1e-12)
     np.testing.assert_allclose(distance, 0.0, rtol=0, atol=tolerance)
     away = np.linalg.norm(points[:, None] - PLACES, axis=-1).min()
     assert away < 0.1 and np.ptp(points, axis=0).max() < 2.5 * LENGTH
@@ -62,7 +65,7 @@ def test_a_surface_is_where_the_distance_is_zero(name):
 
 def test_a_tube_goes_on_as_far_as_the_rod():
     (surface,) = surfaces_of(touched(SHAPES["tube"]), PLACES + [0, 0, 0.02]).values()
-    assert surface.grid[..., 2].max() > LENGTH
+    assert surface.faces[..., 2].max() > LENGTH
 
 
 def test_what_has_no_known_surface_is_not_drawn():
@@ -73,10 +76,10 @@ def test_what_has_no_known_surface_is_not_drawn():
 def test_it_is_carried_as_a_rigid_body():
     (surface,) = surfaces_of(touched(SHAPES["ball"]), PLACES).values()
     half = np.sqrt(0.5)
-    turned = carried(surface.grid, np.array([0.0, 0.0, 1.0, half, 0.0, 0.0, half]))
-    x, y, z = np.moveaxis(surface.grid, -1, 0)
+    turned = carried(surface.faces, np.array([0.0, 0.0, 1.0, half, 0.0, 0.0, half]))
+    x, y, z = np.moveaxis(surface.faces, -1, 0)
     np.testing.assert_allclose(turned, np.stack([-y, x, z + 1], -1), atol=1e-15)
-    assert faces_of(surface.grid).shape == (8 * 24, 4, 3)
+    assert surface.faces.shape == (8 * 24, 4, 3)
 
 
 def test_a_film_has_obstacles_their_courses_and_forces(tmp_path):
@@ -90,8 +93,11 @@ def test_a_film_has_obstacles_their_courses_and_forces(tmp_path):
     assert wall["name"] == "c0" and not wall["inside"] and tube["inside"]
     # Before the first step it is where the scene has it; millimetres.
     assert [x[0] for x in wall["moved"]["by"]] == [0, 1, 2, 3, 4] and tube["moved"] is None
-    grid = surfaces_of(scene, PLACES)[0].grid
-    assert np.shape(wall["grid"]) == grid.shape
+    assert np.shape(wall["faces"]) == (8 * 8, 4) and np.shape(wall["corners"]) == (9 * 9, 3)
+    # Squares of 2 * 0.3 lengths by eight.
+    corners = np.array(wall["corners"])[np.array(wall["faces"])]
+    edges = np.linalg.norm(np.roll(corners, 1, 1) - corners, axis=-1)
+    np.testing.assert_allclose(edges, 1e3 * 0.6 * LENGTH / 8, rtol=1e-4)
     push, none = found["inputs"]
     assert none["name"] == "force of c1" and none["curves"] == [[0.0] * 5]
     assert push["name"] == "force of c0" and push["unit"] == "N" and push["curves"] == [[5.0] * 5]

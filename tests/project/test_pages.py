@@ -19,7 +19,7 @@ RUN = {
     "analysis.md": 6,
     "calibration.md": 1,
     "command-line.md": 5,
-    "contact.md": 1,
+    "contact.md": 2,
     "learning.md": 1,
     "logging.md": 1,
     "python.md": 2,
