@@ -1,5 +1,6 @@
 """The filter against Riccati's equation, and its errors against its covariances."""
 
+import dataclasses
 import sys
 from pathlib import Path
 
@@ -11,7 +12,7 @@ from scipy.stats import chi2
 
 import softrod_jax as sr
 from softrod_jax.control.low_rank import beyond, truncated, updated
-from softrod_jax.learning import Action
+from softrod_jax.learning import Action, Stepper
 from softrod_jax.rod.rotations import quaternion_exp, quaternion_product
 from softrod_jax.rod.shape import Pose
 
@@ -125,3 +126,41 @@ def test_bad_input(estimator):
         estimator.step(begun, Action(), np.zeros(3))
     with pytest.raises(ValueError, match=r"quaternions has shape \(4,\)"):
         estimator.step(begun, Action(), np.zeros((1, 3)), np.zeros(4))
+
+
+def test_a_rod_in_a_plane_is_estimated_as_the_same_one_in_space():
+    """Two tendons and a base that is turned in the plane; what is off it counts nothing."""
+    half = 0.15
+    robot = sr.Scene(
+        length=0.1, section=sr.Circle(5e-3), young_modulus=1e5, poisson_ratio=0.45, density=1e3,
+        damping_time=0.02, gravity=jnp.array([0.0, 0.0, 9.81]),
+        base_quaternion=jnp.array([np.cos(half), np.sin(half), 0.0, 0.0]),
+        tendons=sr.Tendons(jnp.array([[0.0, 3e-3], [0.0, -3e-3]])),
+        markers=[sr.Marker("half", 0.05)],
+    )  # fmt: skip
+    flat, pulls = dataclasses.replace(robot, plane="yz"), (0.05, 0.0)
+    given = dict(sees=("half", "tip"), force=0.05, force_walk=0.02, method=GRID)
+    force, rng = jnp.array([0.0, 0.02, -0.01]), np.random.default_rng(5)
+    pulled = dataclasses.replace(flat, tip_load=sr.TipLoad(force))
+    truth = Stepper(pulled, 0.01, method=GRID)
+    begun = sr.solve_static(flat, pulls, method=GRID)
+    filters = [sr.Estimator(scene, 0.01, rank=40, **given) for scene in (flat, robot)]
+    estimates = [f.begin(begun, Action(pulls)) for f in filters]
+    state = truth.reset(begun, Action(pulls))
+    for _ in range(15):
+        state = truth.step(state, Action(pulls))
+        view, nodes = truth.view(state), np.array([2, 4])  # the marker and the tip are nodes
+        positions = view.positions[nodes] + 3e-4 * rng.standard_normal((2, 3))
+        quaternions = view.quaternions[nodes]
+        # In space, what is off the plane has not been seen; in the plane it may be anything.
+        seen = [positions.at[:, 0].set(x) for x in (1.0, np.nan)]
+        estimates = [
+            f.step(e, Action(pulls), p, quaternions) for f, e, p in zip(filters, estimates, seen)
+        ]
+    assert not any(int(e.result) for e in estimates)
+    plane, space = estimates
+    assert plane.covariance.shape == (2, 2) and space.covariance.shape == (3, 3)
+    np.testing.assert_allclose(plane.force, space.force, atol=1e-6)
+    np.testing.assert_allclose(plane.covariance, space.covariance[1:, 1:], rtol=1e-3, atol=1e-9)
+    np.testing.assert_allclose(plane.force, force, atol=4 * np.sqrt(plane.covariance[0, 0]))
+    assert plane.force[0] == 0.0 and np.sqrt(plane.covariance[0, 0]) < 0.01
