@@ -10,19 +10,19 @@ through the step as it is, and after what is measured is taken in, the smallest 
 import dataclasses
 import operator
 from collections.abc import Mapping, Sequence
-from typing import Any, cast
+from typing import Any, NamedTuple, cast
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.flatten_util import ravel_pytree
-from jaxtyping import Array, Float, Int, Real
+from jaxtyping import Array, Bool, Float, Int, Real
 
 from softrod_jax.analysis.near_rest import check_smooth
 from softrod_jax.bvp.collocation import Collocation
 from softrod_jax.bvp.method import AbstractMethod
-from softrod_jax.control.low_rank import beyond, moved_all, truncated, updated
+from softrod_jax.control.low_rank import Weighed, beyond, moved_all, truncated, weighed
 from softrod_jax.foundation.compiling import compiled
 from softrod_jax.foundation.numbers import ScalarLike
 from softrod_jax.foundation.precision import require_float64
@@ -43,6 +43,9 @@ from softrod_jax.stepping.sdirk import SDIRK
 # What is estimated beside the rod counts this many times more than the rod when directions are left
 # out: it is what is asked for, and what nothing else tells of later.
 _CHOSEN = 30.0
+# A measurement is taken in once more, about what it says of the step, until that changes by less
+# than so many standard deviations.
+_ENOUGH, _MOST_PASSES = 0.3, 5
 
 
 class Estimate(eqx.Module):
@@ -278,6 +281,26 @@ def _slope(estimator: Estimator, initial: StaticSolution, action: Action):
     return jax.jacfwd(strains)(jnp.zeros(len(estimator.parameters)))
 
 
+class _Pass(NamedTuple):
+    """The end of a step, linearised about the mean and so much of each column of the root.
+
+    - `end`: the state there, and `fields` and `mean`: how it follows the columns, and where it is
+      once the measurement is taken in. `change`: of what the weights are now.
+    """
+
+    end: RodState
+    fields: Float[Array, "fields r"]
+    mean: Float[Array, "fields"]
+    found: Weighed
+    change: Float[Array, ""]
+    count: Int[Array, ""]
+
+    @property
+    def good(self) -> Bool[Array, ""]:
+        # What is only too coarse a grid for a moment is no failure.
+        return self.end.progress.result == RESULTS.successful
+
+
 @compiled
 def _step(estimator: Estimator, estimate: Estimate, action: Action, measured: Pose) -> Estimate:
     state, dim = estimate.state, estimator.chosen
@@ -285,37 +308,47 @@ def _step(estimator: Estimator, estimate: Estimate, action: Action, measured: Po
     logs = [jnp.log(value)[None] for value in estimate.parameters.values()]
     axes = estimator.axes
     chosen = jnp.concatenate([axes @ estimate.force, *logs])
+    walk = jnp.concatenate([jnp.zeros((x.size, dim)), jnp.diag(_walk(estimator))])
+    root = jnp.concatenate([estimate.root, walk], 1)
+    before, own = root[: x.size], root[x.size :]
 
-    def after(x, chosen):
-        stepper = _stepper_with(estimator, chosen)
-        end = stepper.step(_with_fields(state, as_fields(x)), action)
+    def after(weights):
+        stepper = _stepper_with(estimator, chosen + own @ weights)
+        end = stepper.step(_with_fields(state, as_fields(x + before @ weights)), action)
         pose = _poses(estimator, stepper, end)
         return (ravel_pytree(end.memory[0])[0], moved_all(pose)), (end, pose)
 
-    _, along, (end, pose) = jax.linearize(after, x, chosen, has_aux=True)
-    walk = jnp.concatenate([jnp.zeros((x.size, dim)), jnp.diag(_walk(estimator))])
-    root = jnp.concatenate([estimate.root, walk], 1)
-    fields, Y = jax.vmap(lambda a, b: along(a, b), in_axes=1, out_axes=1)(
-        root[: x.size], root[x.size :]
-    )
-    root = jnp.concatenate([fields, root[x.size :]])
-    off = jnp.where(_sensed(estimator), beyond(pose, measured), jnp.nan)
-    change, root, surprise = updated(root, Y, off, _precision(estimator))
-    root = truncated(root, _sizes(root, dim, end.memory[0]), estimator.rank)
-    mean = ravel_pytree(end.memory[0])[0] + change[: x.size]
-    # What is only too coarse a grid for a moment is no failure.
-    good = end.progress.result == RESULTS.successful
-    keep = lambda a, b: jnp.where(good, a, b)
-    chosen = keep(chosen + change[x.size :], chosen)
-    state = _with_fields(end, as_fields(keep(mean, ravel_pytree(end.memory[0])[0])))
+    def about(weights, count):
+        _, along, (end, pose) = jax.linearize(after, weights, has_aux=True)
+        fields, Y = jax.vmap(along, out_axes=1)(jnp.eye(weights.size))
+        off = jnp.where(_sensed(estimator), beyond(pose, measured), jnp.nan)
+        found = weighed(Y, off + Y @ weights, _precision(estimator))
+        change = found.weights - weights
+        mean = ravel_pytree(end.memory[0])[0] + fields @ change
+        return _Pass(end, fields, mean, found, jnp.linalg.norm(change), count + 1)
+
+    def again(last):
+        new = about(last.found.weights, last.count)
+        kept = jax.tree.map(lambda a, b: jnp.where(new.good, a, b), new, last)
+        return kept._replace(change=jnp.where(new.good, new.change, 0.0), count=new.count)
+
+    first = about(jnp.zeros(root.shape[1]), jnp.zeros((), jnp.int32))
+    goes_on = lambda p: p.good & (p.change > _ENOUGH) & (p.count < _MOST_PASSES)
+    last = jax.lax.while_loop(goes_on, again, first)
+    wide = jnp.concatenate([last.fields, own])
+    root = last.found.narrowed(wide)
+    root = truncated(root, _sizes(root, dim, last.end.memory[0]), estimator.rank)
+    keep = lambda a, b: jnp.where(last.good, a, b)
+    chosen = keep(chosen + own @ last.found.weights, chosen)
+    mean = keep(last.mean, ravel_pytree(last.end.memory[0])[0])
     count = len(axes)
     parameters = zip(estimator.parameters, jnp.exp(chosen[count:]), strict=True)
     return Estimate(
-        state=state,
+        state=_with_fields(last.end, as_fields(mean)),
         force=chosen[:count] @ axes if count else estimate.force,
         parameters=dict(parameters),
         root=keep(root, estimate.root),
-        surprise=keep(surprise, 0.0),
+        surprise=keep(last.found.surprise, 0.0),
         forces=estimate.forces,
     )
 
