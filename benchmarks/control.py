@@ -75,7 +75,7 @@ def estimated(estimator, forces, rng, modulus=1.0, moving=True):
 
 def force(quick):
     """A force of unknown size and direction sets in: how far is the estimate off, and when?"""
-    estimator = sr.Estimator(ROBOT, 0.01, attitude_noise=TURNED, force=0.2, force_walk=0.03)
+    estimator = sr.Estimator(ROBOT, 0.01, attitude_noise=TURNED, force=0.2, force_walk=0.02)
     sizes, runs, steps = ((0.1,), 1, 10) if quick else ((0.02, 0.05, 0.1, 0.2, 0.3), 10, 100)
     print("force [mN]: runs, failed; error [mN] after 0.1, 0.3 s; rms and worst of 0.5 to 1 s")
     for size in sizes:

@@ -6,6 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int, Real
 
+from softrod_jax.analysis.following_targets import Start, all_following
 from softrod_jax.analysis.least_effort import least_effort
 from softrod_jax.analysis.limits import Limits, checked_limits, spread_out
 from softrod_jax.analysis.near_rest import check_smooth
@@ -16,6 +17,7 @@ from softrod_jax.bvp.newton import NewtonOptions
 from softrod_jax.foundation.compiling import compiled, on_cpu
 from softrod_jax.foundation.precision import require_float64
 from softrod_jax.foundation.results import RESULTS, raise_unless_successful
+from softrod_jax.foundation.tracing import is_traced
 from softrod_jax.rod.rotations import turn_between
 from softrod_jax.scene.checks import checked_scene
 from softrod_jax.scene.inputs import whole_number
@@ -88,7 +90,14 @@ def inverse(
     it. What is returned has been solved for once more as `solve_static` does it, from the unloaded
     rod.
 
-    It has no derivatives, and says so: use `actuation_jacobian` at the answer. Raises `ValueError`
+    First derivatives, in both modes, by targets and the scene's numbers, are those of the local
+    solution, with the inputs that are at a limit held there: effort decides where the target leaves
+    a choice, and the nearest point follows a target that is out of reach. They are undefined where
+    an input is about to come to a limit or to leave it, and where actuators lose a direction.
+    Where the search has not ended at least effort, inputs follow with the least change. Limits are
+    constants, and second derivatives refused.
+
+    Raises `ValueError`
     for limits or targets of a wrong shape, for limits that a scene has no actuators for, and for
     friction and backlash, whose equilibria depend on the way to them.
     """
@@ -107,11 +116,17 @@ def inverse(
     if one:
         target = target[None]
         quaternion = None if quaternion is None else quaternion[None]
-    without_derivatives((scene, low, high, target, quaternion))
     problem = Problem(scene, low, high, jnp.asarray(tolerance, dtype=float), of, method, newton)
-    known = problem.solved(jnp.asarray(spread_out(samples, problem.rest.shape[0])))
-    x, iterations = _search(problem, known, target, quaternion, path, starts)
-    found = _answers(problem, x, iterations, target, quaternion, samples)
+    # A search has no derivatives: its answers have.
+    fixed, *aims = _still((problem, target, quaternion))
+    known = fixed.solved(jnp.asarray(spread_out(samples, problem.rest.shape[0])))
+    ends, iterations = _search(fixed, known, *aims, path, starts)
+    x = ends.x
+    traced = is_traced((problem, target, quaternion))
+    if traced:
+        x = all_following(problem, ends, target, quaternion)
+    block = target.shape[0] if traced else samples
+    found = _answers(problem, x, iterations, target, quaternion, block)
     if one:
         found = jax.tree.map(lambda x: x[0], found)
     if throw:
@@ -121,7 +136,7 @@ def inverse(
 
 @compiled
 def _search(problem: Problem, known: Known, target, quaternion, path: bool, starts: int):
-    """Where the search for each target ends, in parts of the limits, and its iterations."""
+    """Where the search for each target ends, a `Start` of its answer, and its iterations."""
     rest = problem.rest
 
     def away(target, quaternion):
@@ -155,7 +170,7 @@ def _search(problem: Problem, known: Known, target, quaternion, path: bool, star
         none = jnp.zeros((), jnp.int32)
         start = (none, first, jnp.array(jnp.inf), none)
         _, best, _, iterations = jax.lax.while_loop(unreached, one, start)
-        return best, (best[0], iterations)
+        return best, (Start(*best), iterations)
 
     nearest = lambda aim: sample(jnp.argmin(away(*aim)))
     aims = (target, quaternion)
@@ -173,10 +188,10 @@ def _answers(problem: Problem, x, iterations, target, quaternion, block: int) ->
     solved = [problem.solved(part) for part in rows]
     joined = jax.tree.map(lambda *a: jnp.concatenate(a)[: x.shape[0]], *solved)
     pose, result, limit = joined.pose, joined.result, problem.tolerance
-    distance = jnp.linalg.norm(pose.position - target, axis=-1)
+    distance = _length(pose.position - target)
     angle = jnp.zeros_like(distance)
     if quaternion is not None:
-        sine = jnp.linalg.norm(jax.vmap(turn_between)(pose.quaternion, quaternion), axis=-1)
+        sine = _length(jax.vmap(turn_between)(pose.quaternion, quaternion))
         angle = 2 * jnp.arcsin(jnp.minimum(sine, 1.0))
     reached = (distance <= limit * problem.scene.length) & (angle <= limit)
     result = jnp.where(answered(result) & ~reached, RESULTS.unreachable, result)
@@ -193,17 +208,15 @@ def _answers(problem: Problem, x, iterations, target, quaternion, block: int) ->
     )
 
 
-@jax.custom_jvp
-def without_derivatives(values):
-    """Nothing; differentiated, it raises."""
-    return jnp.zeros(())
+def _still(values):
+    """The same, of which nothing is differentiated."""
+    return jax.tree.map(lambda a: jax.lax.stop_gradient(a) if eqx.is_array(a) else a, values)
 
 
-@without_derivatives.defjvp
-def _refuse(primals, tangents):
-    raise ValueError(
-        "inverse: has no derivatives; take actuation_jacobian at the inputs that it finds"
-    )
+def _length(a: Float[Array, "*rows 3"]) -> Float[Array, "*rows"]:
+    """Of each row; where it is zero, so is its derivative."""
+    square = jnp.sum(a**2, axis=-1)
+    return jnp.where(square > 0, jnp.sqrt(jnp.where(square > 0, square, 1.0)), 0.0)
 
 
 def _checked_target(target, quaternion):

@@ -27,22 +27,20 @@ def checked_limits(who: str, scene: Scene, limits: Limits) -> tuple[Inputs, Inpu
             raise ValueError(f"{who}: limits for {name!r}, of which the scene has none")
         count = kind.count(scene)
         try:
-            pair = [jnp.asarray(x, dtype=float) for x in given]
-            lowest, highest = (jnp.broadcast_to(x, (count,)) for x in pair)
+            pair = [np.asarray(x, dtype=float) for x in given]
+            lowest, highest = (np.broadcast_to(x, (count,)) for x in pair)
         except (TypeError, ValueError):
             raise ValueError(
                 f"{who}: limits[{name!r}] = {given!r}; a lowest and a highest value are needed, "
                 f"each a number or {count} of them"
             ) from None
-        if not np.all(np.asarray(highest) > np.asarray(lowest)) or not np.all(
-            np.isfinite([lowest, highest])
-        ):
+        if not np.all(highest > lowest) or not np.all(np.isfinite([lowest, highest])):
             raise ValueError(f"{who}: limits[{name!r}] = {given!r}; expected lowest < highest")
         if np.min(lowest) < kind.at_least:
             raise ValueError(
                 f"{who}: limits[{name!r}] = {given!r}; {kind.reason}: at least {kind.at_least:g}"
             )
-        low[name], high[name] = lowest, highest
+        low[name], high[name] = jnp.asarray(lowest), jnp.asarray(highest)
     return Inputs(**low), Inputs(**high)
 
 

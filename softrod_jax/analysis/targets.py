@@ -75,7 +75,7 @@ class Problem(eqx.Module):
 
         def residual(U, x):
             fields = self._equations(x, guess).fields(U)
-            return missed(self._pose(x, fields), target, quaternion, length)
+            return missed(self.pose(x, fields), target, quaternion, length)
 
         def along(direction):
             changed = lambda x: self._equations(x, guess).equalities(U, tight)
@@ -93,7 +93,8 @@ class Problem(eqx.Module):
         rod = make_rod(self.scene, self.inputs(x), dynamic=False, grid=grid)
         return Equations(self.method, layout_of(rod, dynamic=False), rod, None, guess.strain)
 
-    def _pose(self, x, fields: Guess) -> Pose:
+    def pose(self, x, fields: Guess) -> Pose:
+        """Of what is to be brought to a target, in the equilibrium `fields`."""
         scene, method, grid = self.scene, self.method, self.method.grid(self.scene)
         rod = make_rod(scene, self.inputs(x), dynamic=False, grid=grid)
         strain = full_strain(fields.strain, rod)

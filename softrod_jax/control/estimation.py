@@ -10,19 +10,19 @@ through the step as it is, and after what is measured is taken in, the smallest 
 import dataclasses
 import operator
 from collections.abc import Mapping, Sequence
-from typing import Any, cast
+from typing import Any, NamedTuple, cast
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.flatten_util import ravel_pytree
-from jaxtyping import Array, Float, Int, Real
+from jaxtyping import Array, Bool, Float, Int, Real
 
 from softrod_jax.analysis.near_rest import check_smooth
 from softrod_jax.bvp.collocation import Collocation
 from softrod_jax.bvp.method import AbstractMethod
-from softrod_jax.control.low_rank import beyond, moved_all, truncated, updated
+from softrod_jax.control.low_rank import Weighed, beyond, moved_all, truncated, weighed
 from softrod_jax.foundation.compiling import compiled
 from softrod_jax.foundation.numbers import ScalarLike
 from softrod_jax.foundation.precision import require_float64
@@ -35,7 +35,7 @@ from softrod_jax.rod.shape import Pose
 from softrod_jax.scene.checks import checked_scene
 from softrod_jax.scene.inputs import whole_number
 from softrod_jax.scene.loads import TipLoad
-from softrod_jax.scene.scene import Scene
+from softrod_jax.scene.scene import PLANES, Scene
 from softrod_jax.statics import StaticSolution, solve_static
 from softrod_jax.stepping.scheme import AbstractTimeScheme
 from softrod_jax.stepping.sdirk import SDIRK
@@ -43,6 +43,9 @@ from softrod_jax.stepping.sdirk import SDIRK
 # What is estimated beside the rod counts this many times more than the rod when directions are left
 # out: it is what is asked for, and what nothing else tells of later.
 _CHOSEN = 30.0
+# A measurement is taken in once more, about what it says of the step, until that changes by less
+# than so many standard deviations.
+_ENOUGH, _MOST_PASSES = 0.3, 5
 
 
 class Estimate(eqx.Module):
@@ -52,6 +55,8 @@ class Estimate(eqx.Module):
       is not estimated. `parameters`: by name, each relative to that of the scene.
     - `root`: (fields + chosen, rank), S of the covariance S S^T, of strains and velocities and then
       of what is estimated beside them: the force and the logarithms of the parameters.
+    - `forces`: how many components of the force are estimated: all, those in the scene's plane, or
+      none.
     - `surprise`: the squares of what the last measurement said beyond what was expected, in terms
       of its covariance; in the mean as many as were measured, where the model holds.
     """
@@ -61,12 +66,15 @@ class Estimate(eqx.Module):
     parameters: dict[str, Float[Array, ""]]
     root: Float[Array, "n rank"]
     surprise: Float[Array, ""]
-    forces: bool = eqx.field(static=True)
+    forces: int = eqx.field(static=True)
 
     @property
     def covariance(self) -> Float[Array, "chosen chosen"]:
-        """Of the force [N^2], where it is estimated, and of the logarithms of the parameters."""
-        count = 3 * self.forces + len(self.parameters)
+        """Of the force [N^2], where it is estimated, and of the logarithms of the parameters.
+
+        In a plane the force has two components, across the rod and along z.
+        """
+        count = self.forces + len(self.parameters)
         own = self.root[self.root.shape[0] - count :]
         return own @ own.T
 
@@ -124,8 +132,6 @@ class Estimator(eqx.Module):
         check_smooth("Estimator", scene)
         if not scheme.one_step:
             raise ValueError(f"Estimator: scheme={scheme} has a memory of past steps; use SDIRK")
-        if scene.plane is not None:
-            raise ValueError(f"Estimator: plane={scene.plane!r}; it is for rods in space, leave it")
         self.scene, load = scene, scene.tip_load
         given, moment = (None, None) if load is None else (load.force, load.moment)
         at_tip = TipLoad(jnp.zeros(3) if given is None else given, moment)
@@ -159,7 +165,14 @@ class Estimator(eqx.Module):
     @property
     def chosen(self) -> int:
         """How many numbers are estimated beside the rod's motion: the force's, parameters."""
-        return 3 * (self.force is not None) + len(self.parameters)
+        return self.axes.shape[0] + len(self.parameters)
+
+    @property
+    def axes(self) -> np.ndarray:
+        """Along which the force has components, (components, 3): in the scene's plane, if any."""
+        if self.force is None:
+            return np.zeros((0, 3))
+        return np.eye(3) if self.scene.plane is None else np.eye(3)[_in_plane(self.scene)[:2]]
 
     def begin(
         self, initial: StaticSolution | None = None, action: Action | None = None
@@ -180,7 +193,7 @@ class Estimator(eqx.Module):
             root = root.at[: slope.shape[0], first : self.chosen].set(slope)
         ones = {name: jnp.ones(()) for name in self.parameters}
         zero = jnp.zeros(())
-        return Estimate(state, jnp.zeros(3), ones, root, zero, self.force is not None)
+        return Estimate(state, jnp.zeros(3), ones, root, zero, self.axes.shape[0])
 
     def step(
         self,
@@ -193,7 +206,7 @@ class Estimator(eqx.Module):
 
         - `action`: reached linearly at the end of the step, as of `Stepper.step`.
         - `positions` [m] and, where attitudes are seen, `quaternions` (w, x, y, z): in the order of
-          `sees`. Those that are NaN have not been seen.
+          `sees`. Those that are NaN have not been seen. In a plane, what is off it does not count.
 
         Raises `ValueError` for wrong shapes.
         """
@@ -214,22 +227,23 @@ class Estimator(eqx.Module):
 
     def _deviations(self):
         """At first, with how many numbers have each."""
-        own = [] if self.force is None else [(self.force, 3)]
+        own = [] if self.force is None else [(self.force, self.axes.shape[0])]
         return own + [(x, 1) for x in self.parameters.values()]
 
 
 def _walk(estimator: Estimator) -> Float[Array, "chosen"]:
     """By how much, in a step, what is estimated wanders."""
-    own, dt = jnp.zeros(estimator.chosen), estimator.stepper.dt
-    return own if estimator.force is None else own.at[:3].set(estimator.force_walk * jnp.sqrt(dt))
+    own, count = jnp.zeros(estimator.chosen), estimator.axes.shape[0]
+    return own.at[:count].set(estimator.force_walk * jnp.sqrt(estimator.stepper.dt))
 
 
 def _stepper_with(estimator: Estimator, chosen: Float[Array, "chosen"]) -> Stepper:
     """That of a rod with this force and these logarithms of parameters."""
-    scene, count = estimator.stepper.scene, estimator.chosen - len(estimator.parameters)
+    scene, axes = estimator.stepper.scene, estimator.axes
+    count = len(axes)
     if count:
         load: Any = scene.tip_load
-        changed = TipLoad(load.force + chosen[:count], load.moment)
+        changed = TipLoad(load.force + chosen[:count] @ axes, load.moment)
         scene = dataclasses.replace(scene, tip_load=changed)
     scene = _scaled(estimator, scene, chosen[count:])
     return dataclasses.replace(estimator.stepper, scene=scene)
@@ -267,43 +281,74 @@ def _slope(estimator: Estimator, initial: StaticSolution, action: Action):
     return jax.jacfwd(strains)(jnp.zeros(len(estimator.parameters)))
 
 
+class _Pass(NamedTuple):
+    """The end of a step, linearised about the mean and so much of each column of the root.
+
+    - `end`: the state there, and `fields` and `mean`: how it follows the columns, and where it is
+      once the measurement is taken in. `change`: of what the weights are now.
+    """
+
+    end: RodState
+    fields: Float[Array, "fields r"]
+    mean: Float[Array, "fields"]
+    found: Weighed
+    change: Float[Array, ""]
+    count: Int[Array, ""]
+
+    @property
+    def good(self) -> Bool[Array, ""]:
+        # What is only too coarse a grid for a moment is no failure.
+        return self.end.progress.result == RESULTS.successful
+
+
 @compiled
 def _step(estimator: Estimator, estimate: Estimate, action: Action, measured: Pose) -> Estimate:
     state, dim = estimate.state, estimator.chosen
     x, as_fields = ravel_pytree(state.memory[0])
     logs = [jnp.log(value)[None] for value in estimate.parameters.values()]
-    force = [estimate.force] if estimator.force is not None else []
-    chosen = jnp.concatenate([*force, *logs])
+    axes = estimator.axes
+    chosen = jnp.concatenate([axes @ estimate.force, *logs])
+    walk = jnp.concatenate([jnp.zeros((x.size, dim)), jnp.diag(_walk(estimator))])
+    root = jnp.concatenate([estimate.root, walk], 1)
+    before, own = root[: x.size], root[x.size :]
 
-    def after(x, chosen):
-        stepper = _stepper_with(estimator, chosen)
-        end = stepper.step(_with_fields(state, as_fields(x)), action)
+    def after(weights):
+        stepper = _stepper_with(estimator, chosen + own @ weights)
+        end = stepper.step(_with_fields(state, as_fields(x + before @ weights)), action)
         pose = _poses(estimator, stepper, end)
         return (ravel_pytree(end.memory[0])[0], moved_all(pose)), (end, pose)
 
-    _, along, (end, pose) = jax.linearize(after, x, chosen, has_aux=True)
-    walk = jnp.concatenate([jnp.zeros((x.size, dim)), jnp.diag(_walk(estimator))])
-    root = jnp.concatenate([estimate.root, walk], 1)
-    fields, Y = jax.vmap(lambda a, b: along(a, b), in_axes=1, out_axes=1)(
-        root[: x.size], root[x.size :]
-    )
-    root = jnp.concatenate([fields, root[x.size :]])
-    change, root, surprise = updated(root, Y, beyond(pose, measured), _precision(estimator))
-    root = truncated(root, _sizes(root, dim, end.memory[0]), estimator.rank)
-    mean = ravel_pytree(end.memory[0])[0] + change[: x.size]
-    # What is only too coarse a grid for a moment is no failure.
-    good = end.progress.result == RESULTS.successful
-    keep = lambda a, b: jnp.where(good, a, b)
-    chosen = keep(chosen + change[x.size :], chosen)
-    state = _with_fields(end, as_fields(keep(mean, ravel_pytree(end.memory[0])[0])))
-    count = 3 * (estimator.force is not None)
+    def about(weights, count):
+        _, along, (end, pose) = jax.linearize(after, weights, has_aux=True)
+        fields, Y = jax.vmap(along, out_axes=1)(jnp.eye(weights.size))
+        off = jnp.where(_sensed(estimator), beyond(pose, measured), jnp.nan)
+        found = weighed(Y, off + Y @ weights, _precision(estimator))
+        change = found.weights - weights
+        mean = ravel_pytree(end.memory[0])[0] + fields @ change
+        return _Pass(end, fields, mean, found, jnp.linalg.norm(change), count + 1)
+
+    def again(last):
+        new = about(last.found.weights, last.count)
+        kept = jax.tree.map(lambda a, b: jnp.where(new.good, a, b), new, last)
+        return kept._replace(change=jnp.where(new.good, new.change, 0.0), count=new.count)
+
+    first = about(jnp.zeros(root.shape[1]), jnp.zeros((), jnp.int32))
+    goes_on = lambda p: p.good & (p.change > _ENOUGH) & (p.count < _MOST_PASSES)
+    last = jax.lax.while_loop(goes_on, again, first)
+    wide = jnp.concatenate([last.fields, own])
+    root = last.found.narrowed(wide)
+    root = truncated(root, _sizes(root, dim, last.end.memory[0]), estimator.rank)
+    keep = lambda a, b: jnp.where(last.good, a, b)
+    chosen = keep(chosen + own @ last.found.weights, chosen)
+    mean = keep(last.mean, ravel_pytree(last.end.memory[0])[0])
+    count = len(axes)
     parameters = zip(estimator.parameters, jnp.exp(chosen[count:]), strict=True)
     return Estimate(
-        state=state,
-        force=chosen[:3] if count else estimate.force,
+        state=_with_fields(last.end, as_fields(mean)),
+        force=chosen[:count] @ axes if count else estimate.force,
         parameters=dict(parameters),
         root=keep(root, estimate.root),
-        surprise=keep(surprise, 0.0),
+        surprise=keep(last.found.surprise, 0.0),
         forces=estimate.forces,
     )
 
@@ -325,6 +370,19 @@ def _sizes(root, dim, fields) -> Float[Array, "n"]:
 
 def _with_fields(state: RodState, fields) -> RodState:
     return dataclasses.replace(state, memory=(fields, *state.memory[1:]))
+
+
+def _in_plane(scene: Scene) -> list[int]:
+    """Which of a position and a rotation vector, (6,), are in the scene's plane."""
+    across = PLANES.index(cast(str, scene.plane))
+    return [across, 2, 3 + 1 - across]
+
+
+def _sensed(estimator: Estimator) -> np.ndarray:
+    """Whether it counts, of each number of the poses that are seen: in a plane, three of six."""
+    plane = estimator.scene.plane
+    one = np.isin(np.arange(6), range(6) if plane is None else _in_plane(estimator.scene))
+    return np.tile(one, len(estimator.sees))
 
 
 def _precision(estimator: Estimator) -> Float[Array, "p"]:

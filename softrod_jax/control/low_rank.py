@@ -1,5 +1,7 @@
 """Kalman's update of a covariance that is kept as a narrow root, and differences of poses."""
 
+from typing import NamedTuple
+
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
@@ -9,19 +11,32 @@ from softrod_jax.rod.rotations import turn_between
 from softrod_jax.rod.shape import Pose
 
 
-def updated(
-    root: Float[Array, "n r"],
-    Y: Float[Array, "p r"],
-    beyond: Float[Array, "p"],
-    precision: Float[Array, "p"],
-) -> tuple[Float[Array, "n"], Float[Array, "n r"], Float[Array, ""]]:
-    """The change of the mean, the root afterwards, and the square of what was not expected.
+class Weighed(NamedTuple):
+    """What a measurement says of the columns of a root.
 
-    - `Y`: what is seen along each column of `root`; `beyond`: what was measured beyond what was
+    - `weights`: how much of each column the mean changes by; `values` and `vectors`: of M (below).
+    - `surprise`: the square of what was not expected, in terms of its covariance.
+    """
+
+    weights: Float[Array, "r"]
+    values: Float[Array, "r"]
+    vectors: Float[Array, "r r"]
+    surprise: Float[Array, ""]
+
+    def narrowed(self, root: Float[Array, "n r"]) -> Float[Array, "n r"]:
+        """The root afterwards, S M^-1/2."""
+        return root @ (self.vectors / jnp.sqrt(self.values))
+
+
+def weighed(
+    Y: Float[Array, "p r"], beyond: Float[Array, "p"], precision: Float[Array, "p"]
+) -> Weighed:
+    """What is measured, taken in.
+
+    - `Y`: what is seen along each column of the root; `beyond`: what was measured beyond what was
       expected, NaN where nothing was; `precision`: one over the standard deviations of the noise.
 
-    With M = 1 + Y^T R^-1 Y, which is as small as the root is narrow, the gain is S M^-1 Y^T R^-1
-    and the root S M^-1/2.
+    With M = 1 + Y^T R^-1 Y, which is as small as the root is narrow, the gain is S M^-1 Y^T R^-1.
     """
     present = jnp.isfinite(beyond)
     r = jnp.where(present, beyond, 0.0) * precision
@@ -29,8 +44,7 @@ def updated(
     values, vectors = jnp.linalg.eigh(jnp.eye(Y.shape[1]) + Y.T @ Y)
     values = jnp.maximum(values, 1.0)
     weights = vectors @ ((vectors.T @ (Y.T @ r)) / values)
-    surprise = jnp.sum(r**2) - (Y.T @ r) @ weights
-    return root @ weights, root @ (vectors / jnp.sqrt(values)), surprise
+    return Weighed(weights, values, vectors, jnp.sum(r**2) - (Y.T @ r) @ weights)
 
 
 def truncated(

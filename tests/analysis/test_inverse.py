@@ -1,5 +1,7 @@
 """Targets made by known inputs, closed forms, and the conditions of the least effort."""
 
+import dataclasses
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -132,5 +134,45 @@ def test_refusals(wrong_types):
         ask(place, LIMITS, quaternion=np.array([1.0, 0.0, 0.0]))
     with pytest.raises(ValueError, match="of='hand' is not a marker"):
         ask(place, LIMITS, of="hand")
-    with pytest.raises(ValueError, match="has no derivatives; take actuation_jacobian"):
-        jax.grad(lambda z: ask(jnp.array([0.0, 0.0, z]), LIMITS).distance)(0.1)
+
+
+@pytest.mark.long
+def test_inputs_follow_targets_and_the_scene():
+    """Forward = reverse = central differences of searches of their own.
+
+    With all inputs free, so that effort decides in one direction; with one at its bound, so that
+    the target says all; and for the nearest point to a target out of reach.
+    """
+    targets = np.array([[0.005, 0.003, 0.095], [0.02, 0.004, 0.1], [0.06, 0.01, 0.095]])
+    limits = {"tensions": (0.0, 0.5), "pressures": (-40e3, 40e3)}
+
+    def answers(z):
+        robot = dataclasses.replace(ROBOT, young_modulus=z[0] * ROBOT.young_modulus)
+        found = sr.inverse(
+            robot, targets + 0.01 * z[1:], limits, method=METHOD, samples=16, throw=False
+        )
+        inputs = jnp.concatenate([found.tensions / 0.5, found.pressures / 40e3], 1)
+        rest = 10 * found.distance[:, None], 10 * found.position, found.effort[:, None]
+        return jnp.concatenate([inputs, *rest], 1), found
+
+    z, values = jnp.array([1.0, 0.0, 0.0, 0.0]), jax.jit(answers)
+    inputs, found = values(z)
+    np.testing.assert_array_equal(found.result, [0, 0, sr.RESULTS.unreachable])
+    free = (inputs[:, :4] != 0) & (np.abs(inputs[:, :4]) != 1)
+    np.testing.assert_array_equal(free.sum(1), [4, 3, 2])
+    forward = jax.jit(jax.jacfwd(lambda z: answers(z)[0]))(z)
+    reverse = jax.jit(jax.jacrev(lambda z: answers(z)[0]))(z)
+    np.testing.assert_allclose(forward, reverse, atol=1e-11)
+    steps = 2e-3 * np.eye(4)
+    apart = lambda n: np.stack([values(z + n * d)[0] - values(z - n * d)[0] for d in steps], -1)
+    slopes = (8 * apart(1) - apart(2)) / (12 * 2e-3)
+    np.testing.assert_allclose(forward, slopes, atol=2e-5 * np.abs(forward).max())
+    # A modulus of all times as much asks for as much of all inputs, where they are free.
+    np.testing.assert_allclose(forward[0, :4, 0], inputs[0, :4], atol=1e-6)
+
+
+def test_there_are_first_derivatives_only():
+    ask = lambda x: sr.inverse(ROBOT, x, LIMITS, method=METHOD, samples=4, throw=False).effort
+    place = jnp.array([0.02, 0.0, 0.1])
+    with pytest.raises(ValueError, match="has first derivatives only"):
+        jax.eval_shape(jax.hessian(ask), place)

@@ -28,6 +28,7 @@ RUN = {
     "settings.md": 1,
     "tasks/catheter.md": 2,
     "tasks/closed-loop.md": 2,
+    "tasks/design.md": 1,
     "tasks/fit-a-modulus.md": 1,
     "tasks/many-cores.md": 3,
     "tasks/tendon-robot.md": 2,
