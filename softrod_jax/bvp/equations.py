@@ -221,6 +221,7 @@ class Equations(NamedTuple):
     def _counting(self, U: Unknowns, kept: ReusedFactors) -> Bool[Array, "conditions"]:
         """Which multipliers are not zero, or may soon not be."""
         border, x = kept.factors.border, U.multipliers
+        assert x is not None, "a rod with a constraint"
         closed = jnp.diagonal(border.conditions.S) * jnp.max(x)
         return (x > 0) | (self.gaps(U) < _NEARLY * closed) | ~kept.alike
 
