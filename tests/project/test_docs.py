@@ -214,3 +214,9 @@ def test_the_contributing_page_names_files_that_exist(site):
     assert len(paths) > 10
     for path in paths:
         assert (ROOT / path).exists(), path
+
+
+def test_tests_that_are_measured_to_take_long_exist():
+    for name in (ROOT / "tests" / "long.txt").read_text().split():
+        path, _, test = name.partition("::")
+        assert f"def {test}(" in (ROOT / path).read_text(), name
