@@ -226,6 +226,11 @@ def note_self_contact(scene, found, known: int | None = None) -> None:
 
     import softrod_jax as sr
 
+    # Parts of a rod that turns by less than a quarter are apart, and nothing is compiled to see it.
+    bend = np.linalg.norm(np.asarray(found.strains)[..., 3:], axis=-1)
+    turn = np.sum((bend[..., 1:] + bend[..., :-1]) / 2 * np.diff(found.arc_lengths), axis=-1)
+    if not np.any(np.atleast_1d(turn)[:known] > 1.5):
+        return
     gaps = np.atleast_1d(jax.jit(sr.self_distance)(scene, found))[:known]
     if len(gaps) and (least := np.min(gaps)) < 0:
         note(

@@ -77,3 +77,11 @@ def test_the_command_line_says_so(capsys):
         sr.save_scene(coil(7e-3, pitch), "coil.toml")
         status, out, err = run(capsys, "solve", "coil.toml", "--intervals", "12")
         assert status == 0 and ("passes through itself" in err) == said
+
+
+def test_the_command_line_does_not_look_where_it_cannot_be(capsys, monkeypatch):
+    monkeypatch.setattr(sr, "self_distance", lambda *given: pytest.fail("it looks"))
+    robot = sr.hybrid_robot(gravity=np.array([-3.0, 0.0, 9.81]))
+    sr.save_scene(robot, "robot.toml")
+    status, _, err = run(capsys, "solve", "robot.toml", "--intervals", "12")
+    assert status == 0, err
