@@ -48,14 +48,16 @@ _DOUBTFUL, _TIMES, _CONFIRMS = 0.4, 4, 0.3
 # Of two motions, the one with this many times as many substeps may confirm the other.
 _MORE = 1.25
 # Motions with more and more care at most, where no accuracy is asked for; and where the first one
-# broke off.
-_TRIES, _RESCUES = 3, 5
+# broke off, or the last one took so few substeps a step that another costs little.
+_TRIES, _RESCUES, _FEW = 3, 5, 200
 # A finer grid is of no use where it does not lower that estimate by this: fronts are rough on any.
 _SMOOTHER = 0.25
 # Where the search for a grid of a motion ends.
 _MOST_INTERVALS = 96
 # Failures that more care may cure.
 _CURABLE = (RESULTS.diverged, RESULTS.max_iterations, RESULTS.inaccurate)
+# Those of a whole motion: a step too long may stretch a rod further than it would go.
+_BROKEN = (*_CURABLE, RESULTS.no_equilibrium)
 
 
 def run_within(
@@ -100,7 +102,7 @@ def _with_more_care(
     last, excess, error = first, 1.0, None
     good, good_method = (last if _solved(last) else None), method
     for attempt in itertools.count(1):
-        if attempt > 1 and (_is_last(care, tolerance) or attempt == tries):
+        if attempt > 1 and (_is_last(care, tolerance) or _is_enough(attempt, tries, last)):
             break
         before = method
         if not fixed_grid and _needs_finer_grid(last, method, rough):
@@ -155,7 +157,7 @@ def run_checked(
     more = lambda fine, care, tries: _with_more_care(
         unjudged, scene, fine, care, method, fixed_grid, *_shown_by(limit), tries
     )
-    if not (moving or fixed_steps) and int(motion.result) in _CURABLE:
+    if not (moving or fixed_steps) and int(motion.result) in _BROKEN:
         _LOG.info("the motion breaks off at step %d: more care is tried", int(motion.failed_step))
         care = careful()
         return _rescued(motion, method, more(unjudged(care, method), care, _RESCUES), limit)
@@ -321,6 +323,14 @@ def _more_care(care, excess: float):
         stricter = np.clip(excess**1.25, _LEAST_STRICTER, _MOST_STRICTER)
         return LocalError(care.limit / stricter, care.longest / _SHORTER)
     return care * (4 if excess > 16 else 2)
+
+
+def _is_enough(attempt: int, tries: int | None, last) -> bool:
+    """Whether no other motion is tried after `last`, where there are `tries` at most."""
+    if tries is None or attempt < tries:
+        return False
+    costs_little = _solved(last) and np.mean(_stat(last, "substeps")) < _FEW
+    return attempt >= _RESCUES or not costs_little
 
 
 def _is_last(care, tolerance) -> bool:
