@@ -160,6 +160,7 @@ def one(seed, k):
         **(compared(case, motion) if result in MOVING else unknown),
         "substeps": int(np.sum(motion.stats["substeps"])),
         "intervals": int(motion.stats["intervals"]),
+        "tips": np.asarray(motion.tip_positions).tolist(),
         "time": min(times),
         "refined_time": time.perf_counter() - begin,
         **numbers,
