@@ -20,6 +20,7 @@ class Rods(NamedTuple):
     - `L`, `K_se` (rods, 3), `K_bt` (rods, 3), `B_bt` (rods, 3), `rho_A`, `rho_J` (rods, 3).
     - `drag` (rods, 3), `gravity` (rods, 3), `payload`, `force` (rods, 3), `moment` (rods, 3).
     - `offsets` (rods, tendons, 2); `thrust_arm` (rods, 2): chamber offset; `thrust_area`.
+    - `curvature` (rods, 3): at rest, in the frame of the section, or None.
     """
 
     L: np.ndarray
@@ -36,6 +37,7 @@ class Rods(NamedTuple):
     offsets: np.ndarray
     thrust_area: np.ndarray
     thrust_arm: np.ndarray
+    curvature: np.ndarray | None = None
 
 
 def cross(a, b):
@@ -74,7 +76,7 @@ def logarithm(q):
 
 
 class ExplicitRods:
-    """The rods with `n` elements each, at rest and straight along z."""
+    """The rods with `n` elements each, at rest from the clamp at 0 along z."""
 
     def __init__(self, rods: Rods, n: int):
         self.rods, self.n, count = rods, n, len(rods.L)
@@ -94,11 +96,14 @@ class ExplicitRods:
         r = np.moveaxis(np.concatenate([rods.offsets, z], -1), -1, 0)  # (3, rods, tendons)
         self.r = [r[:, :, i, None] for i in range(r.shape[2])]
         self.thrust_arm = np.stack([rods.thrust_arm[:, 0], rods.thrust_arm[:, 1]])[..., None]
+        zero = np.zeros((count, 3))
+        self.u_rest = up(zero if rods.curvature is None else rods.curvature)
+        middles = (np.arange(n) + 0.5) * self.h
+        self.q = exponential(self.u_rest * middles)
+        along = rotate(self.q, np.stack([0.0 * middles, 0.0 * middles, 0.0 * middles + self.h]))
         self.x = np.zeros((3, count, n + 1))
-        self.x[2] = np.arange(n + 1) * self.h
+        self.x[..., 1:] = np.cumsum(along, -1)
         self.V = np.zeros_like(self.x)
-        self.q = np.zeros((4, count, n))
-        self.q[0] = 1.0
         self.W = np.zeros((3, count, n))
         self.clamp = np.zeros((4, count, 1))
         self.clamp[0] = 1.0
@@ -161,7 +166,7 @@ class ExplicitRods:
         W = self.W
         W_before = np.concatenate([np.zeros_like(W[..., :1]), W[..., :-1]], -1)
         rate = (W - W_before + 0.5 * cross(turn, W + W_before)) / self.reach
-        M = self.K_bt * u + self.B_bt * rate + h / self.reach * shared
+        M = self.K_bt * (u - self.u_rest) + self.B_bt * rate + h / self.reach * shared
         bent = 0.5 * cross(turn, M)
         T = h * cross(v, N) - (M - bent)
         T[..., :-1] += (M + bent)[..., 1:]

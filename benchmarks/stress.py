@@ -181,7 +181,8 @@ def main():
             with options.rows.open("a") as file:
                 file.write(json.dumps(row) + "\n")
         if options.only or is_remarkable(row):
-            shown = {n: f"{v:.3g}" if isinstance(v, float) else v for n, v in row.items()}
+            told = {n: v for n, v in row.items() if not isinstance(v, list)}
+            shown = {n: f"{v:.3g}" if isinstance(v, float) else v for n, v in told.items()}
             print(shown, flush=True)
     print(f"{(time.perf_counter() - begin) / 60:.1f} min, seed {options.seed}")
     if options.details:

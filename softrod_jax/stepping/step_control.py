@@ -207,9 +207,14 @@ def _shown_by(limit: float) -> tuple[float, float, float]:
 
 
 def _rescued(motion, method, more, limit):
-    """What becomes of a motion that broke off: the one with more care, if there is one."""
+    """What becomes of a motion that broke off: the one with more care, if there is one.
+
+    Where more care ends in no equilibrium, that is why, whatever the first motion said.
+    """
     found, error, method_found, agrees = more
     if agrees:
+        return _with(found, error, method_found)
+    if int(found.result) == RESULTS.no_equilibrium:
         return _with(found, error, method_found)
     if not _solved(found):
         return _with(motion, None, method)

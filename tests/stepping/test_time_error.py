@@ -251,7 +251,14 @@ def hanging():
 
 
 def checked(
-    hanging, tip, time_error, along=lambda k: 0.0, breaks=lambda k: False, fixed_steps=False
+    hanging,
+    tip,
+    time_error,
+    along=lambda k: 0.0,
+    breaks=lambda k: False,
+    broken=sr.RESULTS.diverged,
+    fixed_steps=False,
+    substeps=500,
 ):
     """What `run_checked` makes of motions whose k-th has these numbers, and the care of each."""
     (scene, motion), taken = hanging, []
@@ -262,12 +269,12 @@ def checked(
         same = jnp.ones(3)
         stats = {"time_error": time_error(k) * same, "error": along(k) * same}
         code = sr.RESULTS.inaccurate if time_error(k) > limit else sr.RESULTS.successful
-        code = sr.RESULTS.diverged if breaks(k) else code
+        code = broken if breaks(k) else code
         return dataclasses.replace(
             motion,
             tip_positions=motion.tip_positions.at[1:, 0].set(tip(k) * scene.length),
             result=jnp.array(code, jnp.int32),
-            stats=motion.stats | stats | {"substeps": jnp.full(3, 2**k)},
+            stats=motion.stats | stats | {"substeps": jnp.full(3, substeps * 2**k)},
         )
 
     options = dict(fixed_grid=False, fixed_steps=fixed_steps, substeps=1, limit=1e-2)
@@ -282,6 +289,14 @@ def test_motions_that_never_agree_are_as_wrong_as_the_best_of_them_says(hanging)
     assert len(taken) == 4
     assert motion.result == sr.RESULTS.inaccurate
     np.testing.assert_allclose(motion.stats["time_error"], 0.5)
+
+
+def test_motions_of_few_steps_are_tried_more_often(hanging):
+    tips = [0.0, 0.1, 0.3, 0.5, 0.2, 0.201]
+    motion, taken = checked(hanging, lambda k: tips[k], time_error=lambda k: 0.02, substeps=1)
+    assert len(taken) == 6
+    assert motion.result == sr.RESULTS.successful
+    np.testing.assert_allclose(motion.stats["time_error"], 1e-3, rtol=1e-6)
 
 
 def test_more_care_means_shorter_substeps_and_a_grid_for_what_they_show(hanging):
@@ -313,6 +328,16 @@ def test_a_motion_that_breaks_off_is_tried_with_more_care(hanging):
     np.testing.assert_allclose(motion.stats["time_error"], 0.1, rtol=1e-6)
     motion, taken = checked(hanging, tip=lambda k: 0.1, fixed_steps=True, **numbers)
     assert len(taken) == 1 and motion.result == sr.RESULTS.diverged
+
+
+def test_a_motion_that_stretches_too_far_may_have_had_too_long_steps(hanging):
+    """If two others do so, too, there is none, and that is said whatever the first one said."""
+    beyond = sr.RESULTS.no_equilibrium
+    numbers = dict(tip=lambda k: 0.1, time_error=lambda k: 1e-3, broken=beyond)
+    motion, taken = checked(hanging, breaks=lambda k: k == 0, **numbers)
+    assert len(taken) == 3 and motion.result == sr.RESULTS.successful
+    motion, taken = checked(hanging, breaks=lambda k: True, **numbers)
+    assert len(taken) == 3 and motion.result == beyond
 
 
 def test_errors_grow_under_a_moment_that_makes_the_rod_flutter():
