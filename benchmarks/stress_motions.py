@@ -9,7 +9,8 @@ take long, and no more.
 Each motion is run without any option, so that steps, grid and `max_time_error` are the defaults.
 The refined run is the same code on a grid twice as fine or finer, with several times smaller
 substeps, chosen by `tolerance=`: it shows what steps and grids do, and no mistake of the equations.
-The judge that shares nothing with this code is `judge_motion.py`. How well a refined run knows the
+Motions that took over a minute themselves are left without one, which would take several. The judge
+that shares nothing with this code is `judge_stress.py`. How well a refined run knows the
 tip is told by two of them, and taken off its difference to the motion.
 """
 
@@ -40,6 +41,8 @@ CLEAR = 5.0
 # Seconds: what took longer is not run again, be it to leave out the time to compile or for a
 # refined run that is more refined.
 LONG = 10.0
+# Seconds: what took longer is not refined at all.
+TOO_LONG = 60.0
 # Programs are forgotten after so many motions: on some grids they take much memory.
 FORGET = 20
 # Codes of motions that have a tip to compare at every step.
@@ -150,6 +153,7 @@ def one(seed, k):
         if times[0] > LONG:
             break
     begin, result = time.perf_counter(), sr.RESULTS(int(motion.result)).name
+    is_refined = result in MOVING and min(times) < TOO_LONG
     unknown = {"refined": "none", "error": np.nan, "known": np.nan}
     return {
         "scene": k,
@@ -157,7 +161,7 @@ def one(seed, k):
         "estimate": estimate_of(motion),
         "time_error": float(motion.stats["time_error"][-1]),
         "along": float(np.max(motion.stats["error"])),
-        **(compared(case, motion) if result in MOVING else unknown),
+        **(compared(case, motion) if is_refined else unknown),
         "substeps": int(np.sum(motion.stats["substeps"])),
         "intervals": int(motion.stats["intervals"]),
         "tips": np.asarray(motion.tip_positions).tolist(),
