@@ -50,6 +50,9 @@ _MORE = 1.25
 # Motions with more and more care at most, where no accuracy is asked for; and where the first one
 # broke off, or the last one took so few substeps a step that another costs little.
 _TRIES, _RESCUES, _FEW = 3, 5, 200
+# Where two motions differ by over so many tolerances, small errors grow: what is left of those of
+# the grid may, too, and motions on one grid agree on a wrong answer.
+_GROWS = 10.0
 # A finer grid is of no use where it does not lower that estimate by this: fronts are rough on any.
 _SMOOTHER = 0.25
 # Where the search for a grid of a motion ends.
@@ -99,7 +102,7 @@ def _with_more_care(
     """
     enough = tolerance if enough is None else enough
     rough = _GRID_SHARE * tolerance if rough is None else rough
-    last, excess, error = first, 1.0, None
+    last, excess, error, grows = first, 1.0, None, False
     good, good_method = (last if _solved(last) else None), method
     for attempt in itertools.count(1):
         if attempt > 1 and (_is_last(care, tolerance) or _is_enough(attempt, tries, last)):
@@ -120,11 +123,28 @@ def _with_more_care(
             if not _is_finer(last, good):
                 error = np.maximum(error, _stat(last, "time_error"))
             excess = error[-1] / tolerance
+            grows |= excess > _GROWS
+            agrees, same_grid = error[-1] <= enough, method == good_method
+            if agrees and same_grid and grows:
+                finer, error = _on_another_grid(run, last, care, method, scene, error)
+                if error[-1] <= enough:
+                    return last, error, method, True
+                if fixed_grid or 2 * method.intervals > _MOST_INTERVALS:
+                    break
+                last, method, excess = finer, method.finer(), 1.0
             # A front is rough on any grid, and then only another grid can tell.
-            if error[-1] <= enough and (method != good_method or _is_smooth(last, method)):
+            elif agrees and (not same_grid or _is_smooth(last, method)):
                 return last, error, method, True
-        good, good_method = last, method
+        good, good_method = (last if _solved(last) else good), method
     return last, error, method, False
+
+
+def _on_another_grid(run, motion, care, method, scene, error):
+    """The same on a finer grid, and the error that this shows of `motion`, if it is larger."""
+    finer = run(care, method.finer())
+    _told("on another grid, for small errors grow", finer, method.finer())
+    apart = _apart(motion, finer, scene) if _solved(finer) else np.full_like(error, np.inf)
+    return finer, np.maximum(error, apart)
 
 
 def run_checked(

@@ -291,8 +291,23 @@ def test_motions_that_never_agree_are_as_wrong_as_the_best_of_them_says(hanging)
     np.testing.assert_allclose(motion.stats["time_error"], 0.5)
 
 
+@pytest.mark.parametrize("other, solved", [(0.3015, True), (0.6, False)])
+def test_where_small_errors_grow_only_another_grid_confirms(hanging, other, solved):
+    """The third motion differs by much from the second, and the fourth agrees with it."""
+    tips = [0.0, 0.1, 0.3, 0.3005, other, 0.9]
+    motion, taken = checked(hanging, lambda k: tips[k], time_error=lambda k: 0.02)
+    assert [method.intervals for _, method in taken[:5]] == [6, 6, 6, 6, 12]
+    assert taken[3][0] == taken[4][0]
+    assert (motion.result == sr.RESULTS.successful) == solved
+    if solved:
+        assert len(taken) == 5 and motion.stats["intervals"] == 6
+        np.testing.assert_allclose(motion.stats["time_error"], 1e-3, rtol=1e-6)
+    else:
+        assert motion.result == sr.RESULTS.inaccurate and motion.stats["time_error"][-1] > 0.25
+
+
 def test_motions_of_few_steps_are_tried_more_often(hanging):
-    tips = [0.0, 0.1, 0.3, 0.5, 0.2, 0.201]
+    tips = [0.0, 0.1, 0.11, 0.12, 0.13, 0.131]
     motion, taken = checked(hanging, lambda k: tips[k], time_error=lambda k: 0.02, substeps=1)
     assert len(taken) == 6
     assert motion.result == sr.RESULTS.successful
@@ -303,7 +318,7 @@ def test_more_care_means_shorter_substeps_and_a_grid_for_what_they_show(hanging)
     """The first motion, with long steps, has no waves that would be rough on its grid."""
     motion, taken = checked(
         hanging,
-        tip=lambda k: [0.1, 0.05, 0.0, 0.0][k],
+        tip=lambda k: [0.1, 0.01, 0.0, 0.0][k],
         time_error=lambda k: 0.02,
         along=lambda k: [0.0, 3e-4, 0.0, 0.0][k],
     )
