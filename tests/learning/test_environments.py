@@ -61,6 +61,18 @@ def test_by_name_and_seeded():
         assert not np.any(terminated | info["failed"])
 
 
+def test_gymnasium_tells_its_episodes_apart():
+    """The step in which an episode begins anew belongs to none."""
+    wrapper = pytest.importorskip("gymnasium.wrappers.vector").RecordEpisodeStatistics
+    recorded = wrapper(ReachVectorEnv(2, SCENE, **SETTINGS))
+    recorded.reset(options={"targets": TARGETS})
+    rewards = np.array([recorded.step(np.zeros((2, 3), np.float32))[1] for _ in range(8)])
+    assert np.all(rewards[[3, 7]] == 0)
+    returns = np.reshape(recorded.return_queue, (2, 2))
+    np.testing.assert_allclose(returns, [rewards[:3].sum(0), rewards[4:7].sum(0)], rtol=1e-6)
+    assert list(recorded.length_queue) == [3] * 4
+
+
 def test_one_that_fails_begins_anew_and_spoils_no_other():
     many = ReachVectorEnv(2, SCENE, tension_limit=3.0, **{**SETTINGS, "max_steps": 40})
     many.reset(seed=0, options={"targets": TARGETS})

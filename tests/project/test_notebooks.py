@@ -1,6 +1,7 @@
 """The notebooks run from top to bottom, and are committed with their outputs."""
 
 import os
+from importlib.util import find_spec
 from pathlib import Path
 
 import jax
@@ -10,11 +11,13 @@ nbformat = pytest.importorskip("nbformat")
 nbclient = pytest.importorskip("nbclient")
 
 NOTEBOOKS = sorted((Path(__file__).parents[2] / "notebooks").glob("*.ipynb"))
-# They run a program hundreds of times or ten thousand of its samples: LLVM's optimisations pay.
 # Recordings of others, which are not in this project.
 RECORDED = {"13_tentacle": "tentacle/postures.csv", "14_segment": "segment/300mbar_V3.c3d"}
 DATA = Path(os.environ.get("SOFTROD_DATA", Path(__file__).parents[3] / "shared" / "data"))
-OFTEN = "04_calibrate", "05_ten_thousand_actuations", "07_learning", "12_catheter"
+# What is not among the extras that tests have, and the extra that brings it.
+FURTHER = {"16_reach": (("skrl", "flax"), "ppo")}
+# They run a program hundreds of times or ten thousand of its samples: LLVM's optimisations pay.
+OFTEN = "04_calibrate", "05_ten_thousand_actuations", "07_learning", "12_catheter", "16_reach"
 
 
 def read(path):
@@ -40,6 +43,9 @@ def test_runs(path, monkeypatch):
     needed = RECORDED.get(path.stem)
     if needed is not None and not (DATA / needed).exists():
         pytest.skip(f"the recording {needed} is not here (shared/data, or SOFTROD_DATA)")
+    packages, extra = FURTHER.get(path.stem, ((), ""))
+    if not all(find_spec(package) for package in packages):
+        pytest.skip(f"needs {' and '.join(packages)}: pip install 'softrod_jax[{extra}]'")
     monkeypatch.setenv("SOFTROD_DATA", str(DATA.resolve()))
     # Notebooks share programs with each other.
     monkeypatch.setenv("JAX_COMPILATION_CACHE_DIR", jax.config.jax_compilation_cache_dir)
