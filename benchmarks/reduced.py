@@ -76,7 +76,7 @@ def main():
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--quick", action="store_true")
     quick = parser.parse_args().quick
-    pairs = ((6, 2),) if quick else ((4, 0), (6, 0), (6, 2), (6, 4), (6, 6))
+    pairs = ((6, 0),) if quick else ((4, 0), (5, 0), (6, 0), (6, 2), (6, 4))
     for largest in (0.2,) if quick else (0.2, 0.6):
         rows(largest, pairs)
 
