@@ -44,8 +44,8 @@ def percent(tip, true):
     return f"{off.max():.2f} %, {np.sqrt(np.mean(off**2)):.2f} % rms"
 
 
-def rows(largest, pairs):
-    """Prints a line for the whole rod and for each pair of coordinates, slow and following."""
+def rows(largest, models):
+    """Prints a line for the whole rod and for each model: coordinates, those that follow, grid."""
     tensions, none = circle(largest), np.zeros((STEPS, 1))
     begun = sr.solve_static(ROBOT, np.zeros(3), np.zeros(1), method=sr.Collocation(12))
 
@@ -61,14 +61,18 @@ def rows(largest, pairs):
         print(
             f"whole rod, {type(scheme).__name__}: {percent(tip, true)}; {spent:.3f} ms", flush=True
         )
-    for order, following in pairs:
+    for order, following, intervals in models:
         for scheme in (sr.SDIRK(2), sr.BDFAlpha()):
             limits = {"tensions": (0.0, largest)}
-            few = sr.reduce_nonlinear(ROBOT, limits, order, following=following, scheme=scheme)
+            grid = sr.Collocation(intervals, order=4)
+            few = sr.reduce_nonlinear(
+                ROBOT, limits, order, following=following, scheme=scheme, method=grid
+            )
             rest = few.equilibrium(np.zeros(3), np.zeros(1))
             run = lambda few=few, rest=rest: few.simulate(DT, tensions, none, initial=rest)
             spent, tip = timed(run)
-            name = f"{2 * order} states, {following} follow, {type(scheme).__name__}"
+            name = f"{2 * order} states, {following} follow, {intervals} intervals"
+            name = f"{name}, {type(scheme).__name__}"
             print(f"{name}: {percent(tip, true)}; {spent:.3f} ms", flush=True)
 
 
@@ -76,9 +80,9 @@ def main():
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--quick", action="store_true")
     quick = parser.parse_args().quick
-    pairs = ((6, 2),) if quick else ((4, 0), (6, 0), (6, 2), (6, 4), (6, 6))
+    models = (6, 0, 2), (6, 0, 4), (6, 2, 4), (6, 4, 4), (5, 0, 4), (4, 0, 4)
     for largest in (0.2,) if quick else (0.2, 0.6):
-        rows(largest, pairs)
+        rows(largest, models[:1] if quick else models)
 
 
 if __name__ == "__main__":

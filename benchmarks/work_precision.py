@@ -256,10 +256,8 @@ def draw(measured):
             here = sorted((r["time"], r["largest"]) for r in rows if r["family"] == family)
             x, y = zip(*here, strict=True)
             (lines[family],) = panel.plot(x, y, ms=4, lw=1.1, **look(family))
-        if CASES[name]().duration is None:
-            panel.legend(lines.values(), lines, fontsize=8)
-        else:
-            handles |= lines
+        still = CASES[name]().duration is None
+        handles |= {} if still else lines
         for row in (r for r in rows if not r["family"]):
             panel.plot(row["time"], row["largest"], "k*", ms=6)
             # Those of MuJoCo and PyElastica are close to each other.
@@ -273,6 +271,9 @@ def draw(measured):
         panel.set(xlabel="time of a run [s]", ylabel="largest error of the tip [m]")
         panel.xaxis.set_minor_formatter(matplotlib.ticker.NullFormatter())
         panel.margins(x=0.12)
+        if still:  # with room for the key beside the lines
+            panel.set_xlim(right=60 * panel.get_xlim()[1])
+            panel.legend(lines.values(), lines, fontsize=8, loc="upper right")
         panel.grid(alpha=0.3)
     for panel in panels[len(measured) :]:
         panel.axis("off")
