@@ -1,6 +1,6 @@
 """A hose-like trunk that is let go by hand, and that motors drive: fits, and what is predicted.
 
-    python benchmarks/trunk.py FOLDER [held] [releases] [relaxing] [motors] [commands]
+    python benchmarks/trunk.py FOLDER [held] [releases] [relaxing] [driven] [motors] [commands]
 
 `FOLDER`: `manual_decay_200g.csv`, `observations_controlled_3.csv` and
 `control_inputs_controlled_3.csv` of https://github.com/StanfordASL/trunk-stack: three discs on a
@@ -11,6 +11,8 @@ hose, seen at 100 Hz by cameras whose y is up. The files are read as they are, b
 - `releases`: six of eight releases by hand from poses anywhere, 200 g at the tip, each with the
   force and the moment of the hand; the two others are predicted from where they were held.
   `relaxing`: with a branch of the stiffness that relaxes besides the viscous damping.
+- `driven`: six motors lead the tip around slowly, so that a sample is an equilibrium. Quarters of
+  the ten seconds are kept aside and predicted by the three others.
 - `motors`: six motors, each of which pulls one tendon and pays out the one opposite; the first 3 s
   are fitted and 10 s predicted, by the angles that the motors report, or by those that they were
   told (`commands`, in a file of their own) behind a lag.
@@ -37,6 +39,9 @@ import softrod_jax as sr
 from calibration import calibrate, load_recording, load_recordings
 from calibration.experiment.hand import HAND, hand_loads
 from calibration.experiment.setup import Setup
+from calibration.postures.data import Postures
+from calibration.postures.fitting import calibrate_postures
+from softrod_jax.scene.inputs import Inputs
 from softrod_jax.scene.scene import as_arrays
 
 ENDS = (0.107, 0.204, 0.3235)  # m, of the discs, by how they hang
@@ -175,6 +180,33 @@ def releases(folder: Path, relaxing: bool) -> None:
     told("releases" + (", a branch relaxes" if relaxing else ""), found)
 
 
+def postures(folder: Path, every: int = 20) -> None:
+    """Every so-many-th sample of the motion by motors, as an equilibrium."""
+    scene, path = driven(), folder / "observations_controlled_3.csv"
+    r = load_recording(path, scene, mapping=mapping(SEEN + pulls(folder, commands=False)))
+    assert r.pulls is not None
+    rows, names = slice(every, None, every), ("third", "two_thirds")
+    seen = {"tip": r.tip_positions[rows]}
+    seen |= {name: r.others[f"{name}_position"][rows] for name in names}
+    quarters = tuple(str(int(t // 2.5)) for t in r.times[rows])
+    inputs = Inputs(pulls=r.pulls[rows])
+    given = Postures(inputs, seen, noise=dict.fromkeys(seen, 5e-3), trials=quarters)
+    fit = ("tendon_stiffness", "pull_gain", "clamp_shift", "clamp_rotation")
+    each = ("tendon_stiffness", "pull_gain_each", "pull_offset", "clamp_shift", "clamp_rotation")
+    grid = sr.Collocation(6, max_error=0.3)
+    size = np.nanmax(np.linalg.norm(seen["tip"] - np.nanmean(seen["tip"], axis=0), axis=1))
+    for names in (fit, each):
+        found = calibrate_postures(scene, given, fit=names, folds=4, method=grid)
+        off = ", ".join(f"{name} {1e3 * x:.1f}" for name, x in found.rmse_by_marker.items())
+        assert found.held_out_m is not None
+        print(
+            f"driven, {', '.join(names)}: {len(found.parameters)} numbers, {found.evaluations} "
+            f"evaluations, {found.seconds:.0f} s; mm rms: {off}, of {1e3 * size:.0f}; "
+            f"all markers {1e3 * found.rmse_m:.1f}, kept aside {1e3 * found.held_out_m:.1f}",
+            flush=True,
+        )
+
+
 def motors(folder: Path, commands: bool) -> None:
     """The first 3 s fitted, all 10 s predicted."""
     scene, path = driven(), folder / "observations_controlled_3.csv"
@@ -221,6 +253,8 @@ if __name__ == "__main__":
     for which in args.which:
         if which == "held":
             held(args.folder)
+        elif which == "driven":
+            postures(args.folder)
         elif which in ("releases", "relaxing"):
             releases(args.folder, which == "relaxing")
         else:
