@@ -1,6 +1,6 @@
 """A hose-like trunk that is let go by hand, and that motors drive: fits, and what is predicted.
 
-    python benchmarks/trunk.py FOLDER [held] [releases] [relaxing] [motors] [commands]
+    python benchmarks/trunk.py FOLDER [held] [releases] [relaxing] [driven] [motors] [commands]
 
 `FOLDER`: `manual_decay_200g.csv`, `observations_controlled_3.csv` and
 `control_inputs_controlled_3.csv` of https://github.com/StanfordASL/trunk-stack: three discs on a
@@ -11,6 +11,8 @@ hose, seen at 100 Hz by cameras whose y is up. The files are read as they are, b
 - `releases`: six of eight releases by hand from poses anywhere, 200 g at the tip, each with the
   force and the moment of the hand; the two others are predicted from where they were held.
   `relaxing`: with a branch of the stiffness that relaxes besides the viscous damping.
+- `driven`: six motors lead the tip around slowly, so that a sample is an equilibrium. Quarters of
+  the ten seconds are kept aside and predicted by the three others.
 - `motors`: six motors, each of which pulls one tendon and pays out the one opposite; the first 3 s
   are fitted and 10 s predicted, by the angles that the motors report, or by those that they were
   told (`commands`, in a file of their own) behind a lag.
@@ -37,6 +39,9 @@ import softrod_jax as sr
 from calibration import calibrate, load_recording, load_recordings
 from calibration.experiment.hand import HAND, hand_loads
 from calibration.experiment.setup import Setup
+from calibration.postures.data import Postures
+from calibration.postures.fitting import calibrate_postures
+from softrod_jax.scene.inputs import Inputs
 from softrod_jax.scene.scene import as_arrays
 
 ENDS = (0.107, 0.204, 0.3235)  # m, of the discs, by how they hang
@@ -61,7 +66,7 @@ column = "ID"
 """
 # Where a motor that turns forward bends the trunk to [degrees about z], and which disc.
 MOTORS = {1: (-15, 1), 2: (225, 2), 3: (285, 0), 4: (135, 2), 5: (195, 0), 6: (75, 1)}
-OFFSET, PULLEY = 0.025, 0.016  # m, guesses; a gain of the pulls stands for both
+OFFSET, PULLEY = 0.025, 0.04  # m, guesses; a gain of the pulls stands for both
 DT = 0.02
 
 
@@ -89,7 +94,7 @@ def let_go(relaxing: bool) -> sr.Scene:
     return as_arrays(sr.Scene(length=ENDS[-1], section=sr.Circle(0.015), **own))
 
 
-def driven() -> sr.Scene:
+def driven(stiffness: float = 0.15) -> sr.Scene:
     """The trunk with its twelve tendons, each held by a spring."""
     pairs = [MOTORS[m] for m in sorted(MOTORS) for _ in (0, 1)]
     angles = [np.radians(a + 180 * (k % 2)) for k, (a, _) in enumerate(pairs)]
@@ -106,7 +111,7 @@ def driven() -> sr.Scene:
         sr.Scene(
             segments=tuple(sr.Segment(float(x), sr.Circle(0.015), intervals=2) for x in parts),
             tendons=tendons,
-            **hose(0.15, 0.06, bending_damping=0.0045),
+            **hose(stiffness, 0.06, bending_damping=0.03 * stiffness),
         )
     )
 
@@ -175,6 +180,39 @@ def releases(folder: Path, relaxing: bool) -> None:
     told("releases" + (", a branch relaxes" if relaxing else ""), found)
 
 
+def postures(folder: Path, every: int = 25) -> None:
+    """Every so-many-th sample of the motion by motors, as an equilibrium.
+
+    The tendons hold the hose so well that its own stiffness is not told: a soft one it is.
+    """
+    scene, path = driven(2e-3), folder / "observations_controlled_3.csv"
+    r = load_recording(path, scene, mapping=mapping(SEEN + pulls(folder, commands=False)))
+    assert r.pulls is not None
+    rows = slice(every, None, every)
+    seen = {name: r.others[f"{name}_position"][rows] for name in ("third", "two_thirds")}
+    seen["tip"] = r.tip_positions[rows]
+    quarters = tuple(str(int(t // 2.5)) for t in r.times[rows])
+    noise = dict.fromkeys(seen, 5e-3)
+    given = Postures(Inputs(pulls=r.pulls[rows]), seen, noise=noise, trials=quarters)
+    size = np.nanmax(np.linalg.norm(seen["tip"] - np.nanmean(seen["tip"], axis=0), axis=1))
+    for gain in ("pull_gain", "pull_gain_each"):
+        found = calibrate_postures(
+            scene,
+            given,
+            fit=(gain, "clamp_shift", "clamp_rotation"),
+            folds=4,
+            method=sr.Collocation(6, max_error=0.3),
+        )
+        off = ", ".join(f"{name} {1e3 * x:.1f}" for name, x in found.rmse_by_marker.items())
+        assert found.held_out_m is not None
+        print(
+            f"driven, {gain}: {len(found.parameters)} numbers, {found.evaluations} evaluations, "
+            f"{found.seconds:.0f} s; mm rms: {off}, of {1e3 * size:.0f}; all markers "
+            f"{1e3 * found.rmse_m:.1f}, kept aside {1e3 * found.held_out_m:.1f}",
+            flush=True,
+        )
+
+
 def motors(folder: Path, commands: bool) -> None:
     """The first 3 s fitted, all 10 s predicted."""
     scene, path = driven(), folder / "observations_controlled_3.csv"
@@ -221,6 +259,8 @@ if __name__ == "__main__":
     for which in args.which:
         if which == "held":
             held(args.folder)
+        elif which == "driven":
+            postures(args.folder)
         elif which in ("releases", "relaxing"):
             releases(args.folder, which == "relaxing")
         else:

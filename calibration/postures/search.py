@@ -13,6 +13,9 @@ from calibration.search.minimum import CalibrationError
 
 # A search ends where the next step promises less than this part of the loss.
 _CONVERGED = 1e-7
+# The largest change of a parameter in one step, most of which are logarithms; and the damping from
+# which on a step leads nowhere.
+_LARGEST, _STIFFEST = 2.0, 1e9
 # Of the noise, as a part of what was stated: a perfect fit leaves rounding errors.
 LEAST_SCALE = 1e-12
 
@@ -40,11 +43,14 @@ class Search:
         while count < most and not converged:
             H, g = J.T @ J, J.T @ r
             step = -np.linalg.solve(H + damping * np.diag(np.diag(H) + 1e-12), g)
-            tried = self._inside(theta + np.clip(step, -2.0, 2.0))
+            # As a whole: of a step between numbers that go together, a part may lead uphill.
+            tried = self._inside(theta + step * _LARGEST / max(_LARGEST, np.max(np.abs(step))))
             promise = -(g @ (tried - theta)) - 0.5 * np.sum((J @ (tried - theta)) ** 2)
             if promise <= _CONVERGED * loss:
-                converged = True
-                break
+                # Where a bound has cut the step, a more careful one may promise more.
+                converged = np.allclose(tried, theta + step) or damping > _STIFFEST
+                damping *= 10
+                continue
             new = model.evaluate(tried)
             count += 1
             new_loss, new_J, new_r = self._system(tried, new)
@@ -53,7 +59,7 @@ class Search:
                 damping = max(damping / 10, 1e-9)
             else:
                 damping *= 10
-                converged = damping > 1e9
+                converged = damping > _STIFFEST
         return theta, best, count, converged
 
     def _system(self, theta, evaluation: Evaluation):
