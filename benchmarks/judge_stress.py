@@ -1,7 +1,6 @@
 """Motions of the stress test, judged by an independent explicit code.
 
     python benchmarks/judge_stress.py --rows FILE [--seed 6] [--found FILE] [--steps 300000]
-        [--write-docs]
 
 `stress.py --rows FILE` has left the tip of each motion there, as it came out at the default
 settings. Those that `explicit_rod.py` can follow are followed by it: rods that stretch, whose
@@ -24,7 +23,7 @@ jax.config.update("jax_enable_x64", True)
 import judge_rod
 import numpy as np
 from explicit_rod import ExplicitRods, Rods, motion
-from report import machine, publish, table
+from report import machine, table
 from stress_motions import FACTOR, MOVING, STEPS, WRONG, random_motion
 
 GRIDS = (24, 48, 96)
@@ -171,7 +170,6 @@ def main():
     parser.add_argument("--seed", type=int, default=6)
     parser.add_argument("--found", type=Path)
     parser.add_argument("--steps", type=int, default=300_000)
-    parser.add_argument("--write-docs", action="store_true")
     options = parser.parse_args()
     rows = [json.loads(line) for line in options.rows.read_text().splitlines()]
     rows = {row["scene"]: row for row in rows if row["what"] == "motion" and "tips" in row}
@@ -196,7 +194,7 @@ def main():
         worse = FACTOR * row["estimate"] < row["error"] - row["known"]
         if row["known"] < SURE and (worse or row["error"] - row["known"] > WRONG):
             print({n: f"{v:.3g}" if isinstance(v, float) else v for n, v in row.items()})
-    publish("judged stress", "reliability.md", f"{summary(judged, len(here))}\n\n{machine()}.")
+    print(f"{summary(judged, len(here))}\n\n{machine()}.")
 
 
 if __name__ == "__main__":

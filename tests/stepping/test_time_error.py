@@ -259,6 +259,7 @@ def checked(
     broken=sr.RESULTS.diverged,
     fixed_steps=False,
     substeps=500,
+    touches=False,
 ):
     """What `run_checked` makes of motions whose k-th has these numbers, and the care of each."""
     (scene, motion), taken = hanging, []
@@ -274,6 +275,7 @@ def checked(
             motion,
             tip_positions=motion.tip_positions.at[1:, 0].set(tip(k) * scene.length),
             result=jnp.array(code, jnp.int32),
+            contact_forces={"wall": jnp.ones((4, 3))} if touches else {},
             stats=motion.stats | stats | {"substeps": jnp.full(3, substeps * 2**k)},
         )
 
@@ -289,6 +291,15 @@ def test_motions_that_never_agree_are_as_wrong_as_the_best_of_them_says(hanging)
     assert len(taken) == 4
     assert motion.result == sr.RESULTS.inaccurate
     np.testing.assert_allclose(motion.stats["time_error"], 0.5)
+
+
+@pytest.mark.parametrize("tips, grids", [((0.0, 1e-3), 2), ((0.0, 0.05, 0.051), 3)])
+def test_a_motion_that_touches_is_that_of_two_grids(hanging, tips, grids):
+    motion, taken = checked(hanging, lambda k: tips[k], lambda k: 1e-3, touches=True)
+    assert [method.intervals for _, method in taken] == [6, 12, 24][:grids]
+    assert motion.result == sr.RESULTS.successful
+    assert motion.stats["intervals"] == taken[-1][1].intervals
+    np.testing.assert_allclose(motion.tip_positions[-1, 0], 0.1 * tips[-1])
 
 
 @pytest.mark.parametrize("other, solved", [(0.3015, True), (0.6, False)])
