@@ -1,5 +1,6 @@
 """The judges of the stress test against closed forms and solutions that others computed."""
 
+import dataclasses
 import sys
 from pathlib import Path
 
@@ -16,6 +17,7 @@ sys.path.insert(0, str(Path(__file__).parents[2] / "benchmarks"))
 
 import judge_rod  # noqa: E402
 import judge_static  # noqa: E402
+import judge_stress  # noqa: E402
 
 
 def judged(scene, tensions=None, pressures=None, start=None):
@@ -97,3 +99,29 @@ def test_no_equilibrium_is_said():
     """Beyond 2.036 N the article's rod has no smooth equilibrium under one tendon."""
     with pytest.raises(judge_rod.NoAnswer):
         judged(sr.hybrid_robot(), (2.2, 0.0, 0.0), (0.0,))
+
+
+def test_motions_of_a_curved_rod_in_any_pose():
+    """It rests on its arc where nothing acts; a dead force at its tip sets it going as ours."""
+    turn = np.array([0.3, -0.5, 0.2, 0.8])
+    scene = sr.Scene(
+        length=0.2,
+        section=sr.Rectangle(4e-3, 6e-3),
+        young_modulus=1e6,
+        poisson_ratio=0.3,
+        density=1200.0,
+        bending_damping=2e-7,
+        rest_curvature=jnp.array([0.0, 1.0 / 0.2, 0.0]),
+        base_quaternion=jnp.array(turn / np.linalg.norm(turn)),
+    )
+    case = judge_stress.case_of(scene, None, None, 5e-3)
+    assert case is not None
+    still = judge_stress.follow([case], 32)[0]
+    np.testing.assert_allclose(still, [[1 - np.cos(1.0), 0.0, np.sin(1.0)]] * 21, atol=1e-4)
+    pushed = dataclasses.replace(scene, tip_load=sr.TipLoad(jnp.array([2e-3, 1e-3, 0.0])))
+    case = judge_stress.case_of(pushed, None, None, 5e-3)
+    coarse, fine = (judge_stress.follow([case], n)[0] for n in (16, 32))
+    motion = sr.simulate(pushed, 5e-3, steps=20)
+    ours = judge_stress.in_frame(pushed, motion.tip_positions)
+    assert np.max(np.linalg.norm(ours - still[0], axis=1)) > 0.05
+    np.testing.assert_allclose(ours, fine + (fine - coarse) / 3, atol=1e-3)
