@@ -45,6 +45,8 @@ _KEPT, _ROUGH = 2e-3, 1e-4
 # The estimate of one motion may be too small by this factor. From there up to the limit, this many
 # times as many substeps must not move the tip by more than this part of the limit.
 _DOUBTFUL, _TIMES, _CONFIRMS = 0.4, 4, 0.3
+# Two grids agree on a motion that touches where the tip differs by so many lengths.
+_AGREE = 3e-3
 # Of two motions, the one with this many times as many substeps may confirm the other.
 _MORE = 1.25
 # Motions with more and more care at most, where no accuracy is asked for; and where the first one
@@ -173,7 +175,9 @@ def run_checked(
     if not fixed_grid:
         motion, method = _smoother(once, motion, method)
         if _touches(motion):
-            motion, method = _where_it_touches(once, motion, method, scene, limit)
+            motion, method, apart = _where_it_touches(once, motion, method, scene)
+            if _solved(motion) and (apart is None or apart[-1] > limit):
+                return _with(_never_twice(motion, apart, limit), apart, method)
     estimate = float(_stat(motion, "time_error")[-1])
     moving = int(motion.result) in (RESULTS.successful, RESULTS.inaccurate)
     careful = functools.partial(_first_care, scene, dt, scheme, _TIMES * substeps, _KEPT)
@@ -322,22 +326,24 @@ def _touches(motion) -> bool:
     return any(bool(np.any(np.asarray(x) != 0)) for x in (motion.contact_forces or {}).values())
 
 
-def _where_it_touches(run: Callable, motion, method: AbstractMethod, scene: Scene, limit: float):
+def _where_it_touches(run: Callable, motion, method: AbstractMethod, scene: Scene):
     """The motion and the method, on finer grids until two of them agree on the tip.
 
     The edge of a touch lies between points of the grid. What a push is off by changes how fast the
-    rod leaves, which no strain shows.
+    rod leaves, which no strain shows. The third is how far the last two are apart, (steps,), in
+    lengths; `None` where there is no other.
     """
+    apart = None
     while _solved(motion) and 2 * method.intervals <= _MOST_INTERVALS:
         finer = run(method.finer())
         _told("on a finer grid, for it touches", finer, method.finer())
         if not _solved(finer):
             break
-        apart = _apart(motion, finer, scene)[-1]
+        apart = _apart(motion, finer, scene)
         motion, method = finer, method.finer()
-        if apart <= _CONFIRMS * limit:
+        if apart[-1] <= _AGREE:
             break
-    return motion, method
+    return motion, method, apart
 
 
 def _judged(motion, limit: float):

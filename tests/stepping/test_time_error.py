@@ -302,6 +302,19 @@ def test_a_motion_that_touches_is_that_of_two_grids(hanging, tips, grids):
     np.testing.assert_allclose(motion.tip_positions[-1, 0], 0.1 * tips[-1])
 
 
+@pytest.mark.parametrize("broken", [5, 1])
+def test_a_touch_on_which_no_two_grids_agree_is_inaccurate(hanging, broken):
+    """They differ on all of them, or there is no other."""
+    motion, taken = checked(
+        hanging, lambda k: 0.05 * k, lambda k: 1e-3, touches=True, breaks=lambda k: k >= broken
+    )
+    grids = [6, 12, 24, 48, 96][: broken + 1]
+    assert [method.intervals for _, method in taken] == grids
+    assert motion.result == sr.RESULTS.inaccurate
+    told = 0.05 if broken > 1 else 1e-3  # what another grid says, or the motion of itself
+    np.testing.assert_allclose(motion.stats["time_error"], told)
+
+
 @pytest.mark.parametrize("other, solved", [(0.3015, True), (0.6, False)])
 def test_where_small_errors_grow_only_another_grid_confirms(hanging, other, solved):
     """The third motion differs by much from the second, and the fourth agrees with it."""
