@@ -172,12 +172,14 @@ def run_checked(
     unjudged = lambda care, method: run(care, method, _number(jnp.inf))
     motion = once(method)
     _told("once", motion, method)
+    least = np.zeros_like(_stat(motion, "time_error"))
     if not fixed_grid:
         motion, method = _smoother(once, motion, method)
         if _touches(motion):
             motion, method, apart = _where_it_touches(once, motion, method, scene)
             if _solved(motion) and (apart is None or apart[-1] > limit):
                 return _with(_never_twice(motion, apart, limit), apart, method)
+            least = least if apart is None else apart
     estimate = float(_stat(motion, "time_error")[-1])
     moving = int(motion.result) in (RESULTS.successful, RESULTS.inaccurate)
     careful = functools.partial(_first_care, scene, dt, scheme, _TIMES * substeps, _KEPT)
@@ -190,11 +192,10 @@ def run_checked(
         return _rescued(motion, method, more(unjudged(care, method), care, _RESCUES), limit)
     if not (estimate > _DOUBTFUL * limit and moving and _is_smooth(motion, method)):
         return _with(motion, None, method)
-    least = np.zeros_like(_stat(motion, "time_error"))
     if estimate <= limit:
         other = unjudged(_count(_TIMES * substeps), method)
         if _solved(other):
-            least = _apart(motion, other, scene)
+            least = np.maximum(least, _apart(motion, other, scene))
             if least[-1] <= _CONFIRMS * limit:
                 return _with(motion, None, method)
     judged = lambda error, **more: _judged(_with(motion, error, method, **more), limit)
@@ -334,10 +335,11 @@ def _where_it_touches(run: Callable, motion, method: AbstractMethod, scene: Scen
     lengths; `None` where there is no other.
     """
     apart = None
-    while _solved(motion) and 2 * method.intervals <= _MOST_INTERVALS:
+    curable = (RESULTS.successful, RESULTS.inaccurate)  # the latter in time, perhaps
+    while int(motion.result) in curable and 2 * method.intervals <= _MOST_INTERVALS:
         finer = run(method.finer())
         _told("on a finer grid, for it touches", finer, method.finer())
-        if not _solved(finer):
+        if int(finer.result) not in curable:
             break
         apart = _apart(motion, finer, scene)
         motion, method = finer, method.finer()
