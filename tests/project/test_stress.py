@@ -14,7 +14,7 @@ import stress_motions  # noqa: E402
 import stress_scenes  # noqa: E402
 
 # Of one structure, so that few programs are compiled. A weight, a coil, a payload, a
-# jump of the loads, one let go, and a moment whose steps are too long.
+# jump of the loads, one let go, and a moment that is tried with shorter steps.
 MOTIONS = 6, 11, 13, 25, 42
 
 
@@ -23,7 +23,7 @@ def test_motions_are_right_and_their_estimates_honest():
     rows = [stress.one(("motion", 0, k, False)) for k in MOTIONS]
     assert {row["structure"] for row in rows} == {"circle"}
     assert [row["scene"] for row in rows if not np.isfinite(row["error"])] == []
-    assert [row["scene"] for row in rows if not stress.is_solved(row)] == [6]
+    assert [row["scene"] for row in rows if not stress.is_solved(row)] == []
     assert [row["scene"] for row in rows if stress.is_wrong(row)] == []
     assert [row["scene"] for row in rows if stress.is_flattering(row)] == []
     assert max(row["error"] for row in rows if stress.is_solved(row)) < 2e-3
