@@ -2,6 +2,7 @@
 
     python benchmarks/control.py                 # all parts, some minutes
     python benchmarks/control.py eight --quick   # some of the parts, small
+    python benchmarks/control.py consistency --sets 3
 
 What is true is in all parts a `Stepper` with other steps and another grid than the estimator has.
 Times of cycles are those of the wall and of the processor, on one core.
@@ -15,7 +16,7 @@ import time
 import jax
 import jax.numpy as jnp
 import numpy as np
-from scipy.stats import chi2
+from consistency import told, told_together
 
 import softrod_jax as sr
 from softrod_jax.learning import Action, Stepper
@@ -98,46 +99,39 @@ def force(quick):
         )
 
 
-def consistency(quick, runs=100):
-    """Normalised squares of errors: of a wandering force, and of that and an unknown modulus."""
-    steps = 10 if quick else 100
-    runs = 2 if quick else runs
+def consistency(quick, sets=1):
+    """Normalised squares of errors: of a wandering force, and of that and an unknown modulus.
+
+    Of `sets` of 100 runs each.
+    """
+    runs, steps = (6, 10) if quick else (100, 100)
     for unknown in ({}, {"young_modulus": 0.2}):
         # What is known to a part of a percent shows the errors of long steps.
         given = dict(force=0.05, force_walk=0.1, parameters=unknown, substeps=2)
         estimator = sr.Estimator(ROBOT, 0.01, attitude_noise=TURNED, **given)
-        n, all_found, failed = 3 + len(unknown), [], 0
-        for run in range(runs):
-            rng = np.random.default_rng(run)
-            modulus = np.exp(0.2 * rng.standard_normal()) if unknown else 1.0
-            walk = np.cumsum(0.1 * 0.1 * rng.standard_normal((steps, 3)), 0)
-            found, code = estimated(
-                estimator, 0.05 * rng.standard_normal(3) + walk, rng, modulus=modulus
-            )
-            failed += code != 0
+        all_found = []
+        for first in range(0, sets * runs, runs):
+            seeds = range(first, first + runs)
+            found, failed = wandering(estimator, seeds, steps)
+            name = f"force{' and modulus' if unknown else ''}, seeds {first} to {seeds[-1]}"
+            told(f"{name}, {failed} failed", found)
             all_found.append(found)
-        found = np.array(all_found)
-        told(f"force{' and modulus' if unknown else ''}, {runs} runs, {failed} failed", found, n)
+        if sets > 1:
+            told_together(np.concatenate(all_found), runs)
 
 
-def told(name, found, n):
-    """Of normalised squares of `n` errors, (runs, steps, ..): how they lie in their bounds."""
-    runs, steps = found.shape[:2]
-    nees, off = found[:, :, 0].mean(0), found[:, :, 2:]
-    low, high = chi2.ppf([0.025, 0.975], runs * n) / runs
-    inside = (nees > low) & (nees < high)
-    late = steps // 2
-    force_rms = 1e3 * np.sqrt((off[:, late:, :3] ** 2).sum(2).mean())
-    print(
-        f"{name}: NEES {nees.mean():.2f} in the mean of all times, {nees[-1]:.2f} at the end, "
-        f"{nees.max():.2f} at most (step {nees.argmax() + 1}); bounds {low:.2f} to {high:.2f} hold "
-        f"at {100 * inside.mean():.0f} % of times, at {100 * inside[late:].mean():.0f} % of the "
-        f"second half; NIS {found[:, :, 1].mean():.2f} of 6; force {force_rms:.1f} mN rms there"
-    )
-    if n > 3:
-        rms = 100 * np.sqrt((off[:, :, 3] ** 2).mean(0))
-        at = [k for k in (10, 20, 50, 100) if k <= steps]
-        print("modulus, rms:", ", ".join(f"{rms[k - 1]:.1f} % off after {k / 100} s" for k in at))
+def wandering(estimator, seeds, steps):
+    """Runs under a force that wanders as the estimator assumes, and how many of them failed."""
+    every, failed = [], 0
+    for seed in seeds:
+        rng = np.random.default_rng(seed)
+        modulus = np.exp(0.2 * rng.standard_normal()) if estimator.parameters else 1.0
+        walk = np.cumsum(0.1 * 0.1 * rng.standard_normal((steps, 3)), 0)
+        forces = 0.05 * rng.standard_normal(3) + walk
+        found, code = estimated(estimator, forces, rng, modulus=modulus)
+        failed += code != 0
+        every.append(found)
+    return np.array(every), failed
 
 
 def eight(t, width=0.02):
@@ -324,10 +318,12 @@ def main():
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("parts", nargs="*", choices=[*PARTS, []], default=[])
     parser.add_argument("--quick", action="store_true")
+    parser.add_argument("--sets", type=int, default=1, help="of 100 runs, of consistency")
     asked = parser.parse_args()
     for name in asked.parts or PARTS:
         print(f"{name}:", flush=True)
-        PARTS[name](asked.quick)
+        more = {"sets": asked.sets} if name == "consistency" else {}
+        PARTS[name](asked.quick, **more)
 
 
 if __name__ == "__main__":
