@@ -18,7 +18,7 @@ from softrod_jax.rod.constants import Rod
 from softrod_jax.rod.constitutive import local_problem, recover_strain
 from softrod_jax.rod.contact import ContactForce, force_on_rod
 from softrod_jax.rod.friction import Slid
-from softrod_jax.rod.rotations import cross, to_base, to_body
+from softrod_jax.rod.rotations import cross, half_angle, to_base, to_body
 from softrod_jax.rod.state import History, Layout, Points
 from softrod_jax.scene.acting import Here
 from softrod_jax.scene.planes import in_space, quaternion_in, turn_in, vector_in
@@ -63,8 +63,9 @@ def rates(y, strain, rod, layout, history):
     h, q, w, N, M = layout.split(y)
     v, u = strains_of(strain, rod, layout)
     p_s = h_s = q_s = w_s = None
+    turned = half_angle(h) if layout.position else h  # without, there is one use of it
     if layout.position:
-        p_s = to_base(h, v)  # eq. 4
+        p_s = to_base(turned, v)  # eq. 4
     if layout.attitude and layout.planar:
         h_s = u
     elif layout.attitude:
@@ -87,7 +88,7 @@ def rates(y, strain, rod, layout, history):
         if rod.C is not None:
             N_s = N_s + rod.C * q * jnp.abs(q)  # eq. 10: f_d = -R C (q o |q|)
     if rod.weight is not None:
-        N_s = N_s - to_body(h, rod.weight)  # eq. 10: f_g = rho A g
+        N_s = N_s - to_body(turned, rod.weight)  # eq. 10: f_g = rho A g
     if rod.distributed_loads is not None:
         applied = distributed(y[..., : layout.base_size], rod, layout)
         N_s, M_s = N_s - applied[..., : layout.vector], M_s - applied[..., layout.vector :]
@@ -157,7 +158,7 @@ def _here(base_part, rod: Rod, layout: Layout, s, radius=None) -> Here:
     moving = jnp.concatenate([q, w]) if layout.dynamic else still
     moving = in_space(moving, rod.plane)
     p = _position_in_space(base_part, rod, layout) if layout.position else None
-    return Here(s, quaternion_in(rod.plane, h), moving[:3], moving[3:], p, radius)
+    return Here(s, quaternion_in(rod.plane, half_angle(h)), moving[:3], moving[3:], p, radius)
 
 
 def _position_in_space(base_part, rod, layout):

@@ -113,12 +113,31 @@ def rotation_matrix(h: Quaternion) -> Matrix:
     )
 
 
+def half_angle(h: Float[Array, "*batch attitude"]) -> Float[Array, "*batch n"]:
+    """In a plane, cosine and sine of half the angle, computed once; a quaternion as it is.
+
+    The compiler would compute them again for every number that depends on them.
+    """
+    if h.shape[-1] != 1:
+        return h
+    pair = jnp.concatenate([jnp.cos(0.5 * h), jnp.sin(0.5 * h)], -1)
+    return jax.lax.optimization_barrier(pair)
+
+
+def _cosine_and_sine(h: Float[Array, "*batch n"]):
+    """Of an angle, or of twice that of which `h` has them."""
+    if h.shape[-1] == 1:
+        return jnp.cos(h), jnp.sin(h)
+    c, s = h[..., :1], h[..., 1:]
+    return c * c - s * s, 2 * s * c
+
+
 def to_body(
     h: Float[Array, "*#batch attitude"], a: Float[Array, "*#batch vector"]
 ) -> Float[Array, "*#batch vector"]:
     """R(h)^T a: a vector of the base frame, seen from the body."""
-    if h.shape[-1] == 1:
-        c, s, x, z = jnp.cos(h), jnp.sin(h), a[..., :1], a[..., 1:]
+    if h.shape[-1] <= 2:
+        (c, s), x, z = _cosine_and_sine(h), a[..., :1], a[..., 1:]
         return jnp.concatenate([c * x - s * z, s * x + c * z], -1)
     w, r = h[..., :1], h[..., 1:]
     k = 2 / (w * w + jnp.sum(r * r, -1, keepdims=True))
@@ -130,8 +149,9 @@ def to_base(
     h: Float[Array, "*#batch attitude"], a: Float[Array, "*#batch vector"]
 ) -> Float[Array, "*#batch vector"]:
     """R(h) a: a vector of the body frame, seen from the base."""
-    if h.shape[-1] == 1:
-        return to_body(-h, a)
+    if h.shape[-1] <= 2:
+        (c, s), x, z = _cosine_and_sine(h), a[..., :1], a[..., 1:]
+        return jnp.concatenate([c * x + s * z, c * z - s * x], -1)
     w, r = h[..., :1], h[..., 1:]
     k = 2 / (w * w + jnp.sum(r * r, -1, keepdims=True))
     c = cross(r, a)

@@ -77,12 +77,11 @@ def angle_in(plane: str, h: Float[Array, "4"]) -> Float[Array, "1"]:
 
 
 def quaternion_in(plane: str | None, h: Float[Array, "n"]) -> Float[Array, "4"]:
-    """The quaternion of an attitude, which is an angle in a plane."""
+    """The quaternion of an attitude, which in a plane has cosine and sine of half the angle."""
     if plane is None:
         return h
-    a, o = 0.5 * h[0], jnp.zeros(())
-    turn = (o, jnp.sin(a), o) if plane == "xz" else (-jnp.sin(a), o, o)
-    return jnp.stack([jnp.cos(a), *turn])
+    (c, s), o = h, jnp.zeros(())
+    return jnp.stack([c, o, s, o] if plane == "xz" else [c, -s, o, o])
 
 
 def in_space(pair: Float[Array, "*points n"], plane: str | None) -> Float[Array, "*points 6"]:
