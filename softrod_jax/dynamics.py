@@ -80,8 +80,9 @@ class Trajectory(eqx.Module):
       (Newton's last correction, relative to the size of the state), "error" (of the
       discretisation along the rod, estimated, in lengths of the rod; NaN: no estimate) and
       "time_error" (of the tip so far from the steps in time, estimated, in lengths of the rod),
-      "substeps"; and one number, "needed_substeps" (that keep "time_error" below its limit, about);
-      outside `jit` also "intervals".
+      "substeps"; with obstacles "touch_error" (of the tip so far from what the grid misses of their
+      push, estimated, in lengths); and one number, "needed_substeps" (that keep "time_error" below
+      its limit, about); outside `jit` also "intervals".
     """
 
     ts: Float[Array, "times"]

@@ -1,5 +1,6 @@
 """A base that is carried, and obstacles that move: closed forms, frames that are equivalent."""
 
+import dataclasses
 import functools
 
 import jax
@@ -139,7 +140,9 @@ def test_what_falls_together_is_what_stands_still_without_gravity():
     falling = rod(
         contacts=(WALL,), tendons=sr.Tendons([[2e-3, 0.0]]), gravity=np.array([-G, 0.0, 0.0])
     )
-    how = dict(method=METHOD, max_time_error=0.1, newton=sr.NewtonOptions(tolerance=1e-13))
+    # Both on the same grid, which is coarse for this touch.
+    coarse = dataclasses.replace(METHOD, max_error=0.1)
+    how = dict(method=coarse, max_time_error=0.1, newton=sr.NewtonOptions(tolerance=1e-13))
     still = sr.simulate(scene, dt, pulls, **how)
     both = sr.simulate(falling, dt, pulls, base=fall, contacts={"contact1": fall}, **how)
     assert np.abs(still.contact_forces["contact1"]).max() > 5e-3

@@ -22,6 +22,7 @@ from jaxtyping import Array, Float
 from softrod_jax.bvp.block_sweep import apply_each
 from softrod_jax.bvp.grid_error import CAUTION, hidden_turns, roughness, tip_of, wide_defect
 from softrod_jax.bvp.method import AbstractMethod, Guess, Linear
+from softrod_jax.bvp.missed_push import push_on
 from softrod_jax.foundation.products import product
 from softrod_jax.rod.boundary_conditions import gap_conditions
 from softrod_jax.rod.constants import Rod, full_strain
@@ -29,8 +30,10 @@ from softrod_jax.rod.constitutive import imbalance, nearby_strain, recover_strai
 from softrod_jax.rod.grid import Division, Grid, divide, divided_grid, uniform_grid
 from softrod_jax.rod.jacobian import rod_ode_jacobian
 from softrod_jax.rod.ode import pointwise_problem, rates
+from softrod_jax.rod.rotations import to_body
 from softrod_jax.rod.shape import ORIGIN, integrate_shape
 from softrod_jax.rod.state import History, Layout
+from softrod_jax.scene.planes import vector_in
 from softrod_jax.scene.scene import Scene
 
 
@@ -139,10 +142,10 @@ class Collocation(AbstractMethod):
             strain, grid.h, base_position, base_quaternion, at[order], formula.b[order]
         )
 
-    def inside(self, strain) -> Float[Array, "intervals k 6"]:
+    def inside(self, points: Float[Array, "points *rest"]) -> Float[Array, "intervals k *rest"]:
         """The points of each interval."""
-        first = np.arange(0, strain.shape[0] - 1, self._stride)
-        return strain[first[:, None] + np.arange(self._stride + 1)]
+        first = np.arange(0, points.shape[0] - 1, self._stride)
+        return points[first[:, None] + np.arange(self._stride + 1)]
 
     def unknowns(self, guess: Guess, rod: Rod) -> Float[Array, "points columns"]:
         """States at all points, beside them the strains if there are tendons."""
@@ -181,6 +184,11 @@ class Collocation(AbstractMethod):
         at_nodes = self.shape(at_nodes, rod.grid, *ORIGIN)[0][-1] - coarse
         size = jnp.linalg.norm
         moved = jnp.maximum(CAUTION * size(together), 0.5 * size(at_nodes)) / rod.L
+        if rod.radius is not None:
+            lost = _Residual(self._missed_pushes(y, rod, layout), inner, forces)
+            pushed = self._strain_at(y + correct(lost)[:, : layout.size], strain, rod, layout)
+            pushed = self.shape(full_strain(pushed, rod), rod.grid, *ORIGIN)[0][-1]
+            moved = moved + size(pushed - coarse) / rod.L
         turning = layout.attitude
         _, bend = layout.split_strain(strain)
         return jnp.maximum(moved, hidden_turns(bend, rod.grid)) if turning else moved
@@ -192,6 +200,14 @@ class Collocation(AbstractMethod):
         stretch, bend = layout.split_strain(fields.strain)
         rough = _ROUGHNESS[self.order] * roughness(bend, stretch, self.order, rod.grid)
         return jnp.maximum(rough, hidden_turns(bend, rod.grid))
+
+    def _missed_pushes(self, y, rod: Rod, layout: Layout) -> Float[Array, "intervals n"]:
+        """The defects of forces that obstacles leave between the points, where touches end."""
+        h = y[self._stride // 2 :: self._stride, layout.pose_size - layout.attitude_size :]
+        force = vector_in(rod.plane, push_on(y, rod, layout, self).missed)
+        force = to_body(h[:, : layout.attitude_size], force)
+        defect = jnp.zeros((force.shape[0], layout.size))
+        return defect.at[:, -layout.pair : -layout.turn].set(force)
 
     def _strain_at(self, y, strain, rod, layout):
         """The strains at states near those that `strain` belongs to."""

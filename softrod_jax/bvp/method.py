@@ -75,8 +75,8 @@ class AbstractMethod(eqx.Module):
         """Positions (outputs, 3) and quaternions (outputs, 4) from the strains at the points."""
 
     @abc.abstractmethod
-    def inside(self, strain: Float[Array, "points 6"]) -> Float[Array, "intervals k 6"]:
-        """Strains at equally spaced points between one output and the next, with both of them."""
+    def inside(self, points: Float[Array, "points *rest"]) -> Float[Array, "intervals k *rest"]:
+        """Values at equally spaced points between one output and the next, with both of them."""
 
     @abc.abstractmethod
     def unknowns(self, guess: Guess, rod: Rod) -> Float[Array, "rows columns"]:

@@ -108,10 +108,10 @@ class Shooting(AbstractMethod):
             fine, grid.h, base_position, base_quaternion, np.arange(5) / 4, BOOLE
         )
 
-    def inside(self, strain) -> Float[Array, "steps 5 6"]:
+    def inside(self, points: Float[Array, "points *rest"]) -> Float[Array, "steps 5 *rest"]:
         """The ends of each step, and three points in between by interpolation."""
-        count = strain.shape[0]
-        fine = _Window(jnp.arange(4 * (count - 1) + 1) / 4, count).interpolate(strain)
+        count = points.shape[0]
+        fine = _Window(jnp.arange(4 * (count - 1) + 1) / 4, count).interpolate(points)
         return fine[4 * np.arange(count - 1)[:, None] + np.arange(5)]
 
     def unknowns(self, guess: Guess, rod: Rod) -> Float[Array, "nodes n"]:

@@ -92,7 +92,7 @@ class RodState(eqx.Module):
     @property
     def result(self) -> Int[Array, "*batch"]:
         progress, method = self.progress, self.made_by[1]
-        coarse = (progress.result == RESULTS.successful) & (progress.error > method.max_error)
+        coarse = (progress.result == RESULTS.successful) & (progress.from_grid > method.max_error)
         return jnp.where(coarse, RESULTS.inaccurate, progress.result).astype(jnp.int32)
 
     @property
@@ -101,7 +101,7 @@ class RodState(eqx.Module):
 
     @property
     def error(self) -> Float[Array, "*batch"]:
-        return self.progress.error
+        return self.progress.from_grid
 
 
 class RodView(eqx.Module):

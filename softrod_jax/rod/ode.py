@@ -131,18 +131,35 @@ def distributed(base_part, rod: Rod, layout: Layout, of=lambda f: f, shape="(i)"
 
 def contact_forces(y: Points, rod: Rod, layout: Layout) -> Float[Array, "contacts 3"]:
     """The force of each obstacle on the whole rod [N], base frame."""
-    contacts = [x for x in rod.distributed_loads or () if isinstance(x, ContactForce)]
+    contacts = _contacts(rod)
     if not contacts:
         return jnp.zeros((0, 3))
+    assert rod.s is not None and rod.radius is not None, "a rod in contact"
+    f = _pushes(contacts, y[..., : layout.base_size], rod, layout, rod.s, rod.radius)
+    return jnp.einsum("n,nik->ik", rod.grid.weights, f)
+
+
+def pushes_per_length(
+    base_part: Float[Array, "*points base"], rod: Rod, layout: Layout, s, radius
+) -> Float[Array, "*points 3"]:
+    """The force of all obstacles together [N/m], base frame, at any points along the rod."""
+    return jnp.sum(_pushes(_contacts(rod), base_part, rod, layout, s, radius), -2)
+
+
+def _contacts(rod: Rod) -> list[ContactForce]:
+    return [x for x in rod.distributed_loads or () if isinstance(x, ContactForce)]
+
+
+def _pushes(contacts, base_part, rod: Rod, layout: Layout, s, radius):
+    """Of each obstacle, (*points, contacts, 3)."""
     factor = rod.load_factor
     assert factor is not None, "a rod with such loads"
 
-    def at_point(base_part, *numbers):
-        here = _here(base_part, rod, layout, *numbers)
+    def at_point(base_part, s, radius):
+        here = _here(base_part, rod, layout, s, radius)
         return jnp.stack([force_on_rod(contact, here) for contact in contacts])
 
-    f = _at_points(at_point, "(i,k)", y[..., : layout.base_size], rod)
-    return factor * jnp.einsum("n,nik->ik", rod.grid.weights, f)
+    return factor * jnp.vectorize(at_point, signature="(n),(),()->(i,k)")(base_part, s, radius)
 
 
 def _at_points(function, shape, base_part, rod: Rod):

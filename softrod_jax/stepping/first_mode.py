@@ -4,12 +4,15 @@ A trial shape stands for it, that of a cantilever (Rayleigh): so it is stiff, he
 within a few percent where the rod is straight, and about so where it is bent.
 """
 
+from typing import NamedTuple
+
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from softrod_jax.bvp.method import AbstractMethod
-from softrod_jax.rod.constants import Rod
-from softrod_jax.rod.rotations import to_body
+from softrod_jax.rod.constants import Rod, full_strain
+from softrod_jax.rod.rotations import to_base, to_body
+from softrod_jax.rod.shape import ORIGIN
 from softrod_jax.scene.planes import in_space
 
 # Of the slowest decay of a bending mode, the part that is believed.
@@ -20,6 +23,21 @@ _SLOPE = 1.3765
 EFFECTIVE_MASS = 0.2427
 # A mode that hardly resists any more is taken to be this stiff, in parts of the unloaded one.
 _SOFTEST = 0.1
+
+
+class Axis(NamedTuple):
+    """Of a bent rod: `tangent` p_s and `attitude`, of a rod in a plane as seen from its clamp."""
+
+    tangent: Float[Array, "nodes 3"]
+    attitude: Float[Array, "nodes 4"]
+
+
+def axis_of(strain: Float[Array, "points strain"], rod: Rod, method: AbstractMethod) -> Axis:
+    """That of a rod with these strains."""
+    strain = full_strain(strain, rod)
+    clamp = rod.h_base if rod.plane is None else ORIGIN[1]
+    _, attitude = method.shape(strain, rod.grid, ORIGIN[0], clamp)
+    return Axis(to_base(attitude, method.outputs(strain)[:, :3]), attitude)
 
 
 def tip_mass(rod: Rod) -> Float[Array, ""]:
@@ -41,17 +59,58 @@ def moved_by_speed(
     unit = _unit(tangent)
     across = speed - jnp.sum(speed * unit, -1, keepdims=True) * unit
     x = method.outputs(rod.grid.s) / rod.L
-    f = (0.5 * x**2 * (3 - x))[:, None] * across
+    f = _shape(x)[:, None] * across
     momentum = rod.mass * jnp.sum(0.5 * jnp.diff(x)[:, None] * (f[1:] + f[:-1]), 0)
     if rod.payload is not None:
         momentum = momentum + rod.payload * across[-1]
     at_tip, rod = momentum / tip_mass(rod), rod.relaxed
+    # Damping brings a rod to rest before it is as far as it would swing.
+    square = _left_stiffness(rod, unit, method) / tip_mass(rod) + 4 * _decay(rod) ** 2
+    return jnp.sqrt(jnp.sum(at_tip * at_tip) / square) / rod.L
+
+
+class Swing(NamedTuple):
+    """The first mode as a mass at the tip.
+
+    `stiffness` [N/m], `frequency` [rad/s] without damping, `decay` [1/s] of its swings; `across`
+    (intervals, 3, 3): what a force on each interval is as one on that mass.
+    """
+
+    stiffness: Float[Array, ""]
+    frequency: Float[Array, ""]
+    decay: Float[Array, ""]
+    across: Float[Array, "intervals 3 3"]
+
+    def force_at_tip(self, forces: Float[Array, "intervals 3"]) -> Float[Array, "3"]:
+        """The force [N] at the tip that moves it as these do."""
+        return jnp.einsum("kij,kj->i", self.across, forces)
+
+    def stiffness_at_tip(self, held: Float[Array, "intervals 3 3"]) -> Float[Array, "3 3"]:
+        """That [N/m] which springs on the intervals add."""
+        return jnp.einsum("kij,kjl,kml->im", self.across, held, self.across)
+
+
+def first_swing(tangent: Float[Array, "nodes 3"], rod: Rod, method: AbstractMethod) -> Swing:
+    """That of a rod with this `tangent`. Forces along it do not count."""
+    rod, unit = rod.relaxed, _unit(tangent)
+    stiffness = _left_stiffness(rod, unit, method)
+    x = method.outputs(rod.grid.s) / rod.L
+    middle, along = 0.5 * (x[1:] + x[:-1]), _unit(unit[1:] + unit[:-1])
+    across = jnp.eye(3) - along[:, :, None] * along[:, None, :]
+    frequency = jnp.sqrt(stiffness / tip_mass(rod))
+    return Swing(stiffness, frequency, _decay(rod), _shape(middle)[:, None, None] * across)
+
+
+def _shape(x):
+    """Of a cantilever with a force at its tip, by its places in lengths."""
+    return 0.5 * x**2 * (3 - x)
+
+
+def _left_stiffness(rod: Rod, unit, method: AbstractMethod) -> Float[Array, ""]:
+    """What forces of fixed direction leave of the mode's stiffness [N/m]."""
     own = _stiffness(rod)
     left = own - _softening(rod, unit, method) if _has_dead_force(rod) else own
-    square = jnp.maximum(jnp.abs(left), _SOFTEST * own) / tip_mass(rod)
-    # Damping brings a rod to rest before it is as far as it would swing.
-    square = square + 4 * _decay(rod) ** 2
-    return jnp.sqrt(jnp.sum(at_tip * at_tip) / square) / rod.L
+    return jnp.maximum(jnp.abs(left), _SOFTEST * own)
 
 
 def _unit(tangent):

@@ -72,7 +72,7 @@ class Stepping(NamedTuple):
 
     def _seen(self, state: State, progress, count) -> March:
         method, result = self.moving.method, progress.result
-        coarse = (result == RESULTS.successful) & (progress.error > method.max_error)
+        coarse = (result == RESULTS.successful) & (progress.from_grid > method.max_error)
         stats = {
             "iterations": progress.iterations,
             "residual": progress.correction,
@@ -80,6 +80,8 @@ class Stepping(NamedTuple):
             "substeps": jnp.asarray(count, jnp.int32),
             "time_error": grown(progress.time_error),
         }
+        if progress.shaken is not None:
+            stats["touch_error"] = progress.shaken.most
         return March(
             state.fields.strain,
             method.outputs(state.fields.velocity),

@@ -31,10 +31,12 @@ from softrod_jax.rod.state import History, Layout, layout_of
 from softrod_jax.scene.inputs import Inputs, good_inputs, zero_unless
 from softrod_jax.scene.planes import turn_in, vector_in
 from softrod_jax.scene.scene import Scene
+from softrod_jax.stepping.first_mode import axis_of
 from softrod_jax.stepping.inertial_continuation import Before, SharedFactors, search_by_inertia
 from softrod_jax.stepping.scheme import AbstractTimeScheme, LocalErrors
 from softrod_jax.stepping.step_inputs import StepInputs
 from softrod_jax.stepping.time_error import accumulated
+from softrod_jax.stepping.touch_error import Shaken, shaken_on, unshaken
 
 # The factors of a Jacobian serve the next solve, too, where corrections fell this fast with them.
 # Of 0.02 to 0.2 the fastest on the paper's rod, with new factors 9 times as dear as a correction.
@@ -84,6 +86,7 @@ class Progress(NamedTuple):
     - `error`: estimated, along the rod; `time_error`: estimated, of the tip so far, in lengths.
     - `pushes` [N]: the force of each obstacle on the rod, with its derivative; `None` without any.
     - `wrench`: (N, M) at the base, with its derivative.
+    - `shaken`: by what the grid missed of pushes; `None` without obstacles.
     - `part`: the length of the next substep, in steps, where errors choose it.
     """
 
@@ -105,6 +108,14 @@ class Progress(NamedTuple):
     wrench: Float[Array, "pair"]
     crept: Crept | None = None
     pushes: Float[Array, "contacts 3"] | None = None
+    shaken: Shaken | None = None
+
+    @property
+    def from_grid(self) -> Float[Array, ""]:
+        """The estimated error from the grid, in lengths: of the rod itself, and of pushes on it."""
+        if self.shaken is None:
+            return self.error
+        return jnp.maximum(self.error, self.shaken.most)
 
 
 class State(NamedTuple):
@@ -188,6 +199,7 @@ class MovingRod(NamedTuple):
             wrench=self._wrench_at_first(begin),
             crept=jax.lax.stop_gradient(crept),
             pushes=self._pushed_at_first(begin),
+            shaken=None if self.rod.radius is None else unshaken(),
         )
         return State(self.scheme.start(Fields(guess.strain, still, crept), guess), progress)
 
@@ -290,15 +302,17 @@ class MovingRod(NamedTuple):
         new_memory, after, errors = self.scheme.step(memory, coefficients, solve, progress)
         fields, errors = jax.lax.stop_gradient((new_memory[0], errors))
         rod = self.rod
-        if inputs.courses.base is not None:
+        if inputs.courses.good is not None:  # something is carried
             end = jnp.minimum(first + part, 1.0)
             rod = self.under(inputs.at(end, rise), inputs.courses.at(end, self.dt))
         # Roots in the estimate have no slope at zero, and nothing is differentiated through it.
-        time_error = jax.lax.stop_gradient(
-            accumulated(
-                progress.time_error, errors, part * self.dt, fields.strain, rod, self.method
-            )
-        )
+        length, axis = part * self.dt, axis_of(fields.strain, rod, self.method)
+        error = accumulated(progress.time_error, errors, length, axis, rod, self.method)
+        time_error = jax.lax.stop_gradient(error)
+        if progress.shaken is not None:
+            args = after.guess.y, length, axis.tangent, rod, self.layout, self.method
+            shaken = jax.lax.stop_gradient(shaken_on(progress.shaken, *args))
+            after = after._replace(shaken=shaken)
         # After a failure the rod stays where it was: its numbers stay finite.
         ok = after.result == RESULTS.successful
         unless_failed = lambda new, old: jax.tree.map(lambda a, b: jnp.where(ok, a, b), new, old)
@@ -315,6 +329,7 @@ class MovingRod(NamedTuple):
             "crept",
             "pushes",
             "wrench",
+            "shaken",
         )
         pick = lambda progress: {name: getattr(progress, name) for name in last}
         return State(memory, after._replace(**unless_failed(pick(after), pick(progress)))), errors

@@ -45,7 +45,8 @@ _KEPT, _ROUGH = 2e-3, 1e-4
 # The estimate of one motion may be too small by this factor. From there up to the limit, this many
 # times as many substeps must not move the tip by more than this part of the limit.
 _DOUBTFUL, _TIMES, _CONFIRMS = 0.4, 4, 0.3
-# Two grids agree on a motion that touches where the tip differs by so many lengths.
+# A grid is good for a motion that touches where it misses so little of what pushes, in lengths of
+# the tip, or where two grids agree on the tip to that.
 _AGREE = 3e-3
 # Of two motions, the one with this many times as many substeps may confirm the other.
 _MORE = 1.25
@@ -110,7 +111,8 @@ def _with_more_care(
         if attempt > 1 and (_is_last(care, tolerance) or _is_enough(attempt, tries, last)):
             break
         before = method
-        unseen = attempt == 1 and _touches(last)  # the edge of a touch, by this grid alone
+        # Too much of a touch may lie between the points.
+        unseen = attempt == 1 and not _missed(last) <= rough
         if not fixed_grid and (unseen or _needs_finer_grid(last, method, rough)):
             method = method.finer()
         # Where the grid was to blame, too, stricter steps than these may be for nothing.
@@ -128,7 +130,8 @@ def _with_more_care(
             excess = error[-1] / tolerance
             grows |= excess > _GROWS
             agrees, same_grid = error[-1] <= enough, method == good_method
-            if agrees and same_grid and grows:
+            blind = not fixed_grid and not _missed(last) <= method.max_error
+            if agrees and same_grid and (grows or blind):
                 finer, error = _on_another_grid(run, last, care, method, scene, error)
                 if error[-1] <= enough:
                     return last, error, method, True
@@ -145,7 +148,7 @@ def _with_more_care(
 def _on_another_grid(run, motion, care, method, scene, error):
     """The same on a finer grid, and the error that this shows of `motion`, if it is larger."""
     finer = run(care, method.finer())
-    _told("on another grid, for small errors grow", finer, method.finer())
+    _told("on another grid", finer, method.finer())
     apart = _apart(motion, finer, scene) if _solved(finer) else np.full_like(error, np.inf)
     return finer, np.maximum(error, apart)
 
@@ -175,9 +178,9 @@ def run_checked(
     least = np.zeros_like(_stat(motion, "time_error"))
     if not fixed_grid:
         motion, method = _smoother(once, motion, method)
-        if _touches(motion):
-            motion, method, apart = _where_it_touches(once, motion, method, scene)
-            if _solved(motion) and (apart is None or apart[-1] > limit):
+        if not _sees_touches(motion, limit):
+            motion, method, apart, good = _where_it_touches(once, motion, method, scene, limit)
+            if _solved(motion) and not good and (apart is None or apart[-1] > limit):
                 return _with(_never_twice(motion, apart, limit), apart, method)
             least = least if apart is None else apart
     estimate = float(_stat(motion, "time_error")[-1])
@@ -322,17 +325,24 @@ def _smoother(run: Callable, motion, method: AbstractMethod):
     return motion, method
 
 
-def _touches(motion) -> bool:
-    """Whether an obstacle pushes the rod in any step."""
-    return any(bool(np.any(np.asarray(x) != 0)) for x in (motion.contact_forces or {}).values())
+def _missed(motion) -> float:
+    """What the grid misses of pushes moves the tip by so many lengths, as estimated."""
+    return float(_stat(motion, "touch_error")[-1]) if "touch_error" in motion.stats else 0.0
 
 
-def _where_it_touches(run: Callable, motion, method: AbstractMethod, scene: Scene):
-    """The motion and the method, on finer grids until two of them agree on the tip.
+def _sees_touches(motion, limit: float) -> bool:
+    """Whether its grid is good for what it touches, as far as steps that are too long can tell."""
+    off = _missed(motion)
+    return off == 0.0 or bool(off <= _AGREE and _stat(motion, "time_error")[-1] <= limit)
+
+
+def _where_it_touches(run: Callable, motion, method: AbstractMethod, scene: Scene, limit: float):
+    """The motion and the method, on finer grids until one is good, or two agree on the tip.
 
     The edge of a touch lies between points of the grid. What a push is off by changes how fast the
-    rod leaves, which no strain shows. The third is how far the last two are apart, (steps,), in
-    lengths; `None` where there is no other.
+    rod leaves, which no strain shows; the estimate of it is often far too large. The third is how
+    far the last two are apart, (steps,), in lengths; `None` where there is no other. The last:
+    whether the grid is good.
     """
     apart = None
     curable = (RESULTS.successful, RESULTS.inaccurate)  # the latter in time, perhaps
@@ -343,9 +353,10 @@ def _where_it_touches(run: Callable, motion, method: AbstractMethod, scene: Scen
             break
         apart = _apart(motion, finer, scene)
         motion, method = finer, method.finer()
-        if apart[-1] <= _AGREE:
-            break
-    return motion, method, apart
+        good, moved = _sees_touches(motion, limit), apart[-1]
+        if (good and moved <= limit) or (_missed(motion) <= method.max_error and moved <= _AGREE):
+            return motion, method, apart, True
+    return motion, method, apart, False
 
 
 def _judged(motion, limit: float):
@@ -424,7 +435,7 @@ def _needs_finer_grid(motion, method: AbstractMethod, rough: float) -> bool:
 
 
 def _is_smooth(motion, method: AbstractMethod) -> bool:
-    return not np.max(_stat(motion, "error")) > method.max_error
+    return not max(np.max(_stat(motion, "error")), _missed(motion)) > method.max_error
 
 
 def _with(motion, error, method, **more):

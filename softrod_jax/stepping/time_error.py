@@ -17,11 +17,10 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from softrod_jax.bvp.method import AbstractMethod
-from softrod_jax.rod.constants import Rod, full_strain
+from softrod_jax.rod.constants import Rod
 from softrod_jax.rod.rotations import cross, to_base
-from softrod_jax.rod.shape import ORIGIN
 from softrod_jax.scene.planes import in_space
-from softrod_jax.stepping.first_mode import moved_by_speed, rate_of_change
+from softrod_jax.stepping.first_mode import Axis, moved_by_speed, rate_of_change
 from softrod_jax.stepping.scheme import LocalErrors
 
 # An error of this many lengths doubles: it changes the motion in which later errors are made. The
@@ -37,16 +36,14 @@ _CAUTION = 1.3
 _OF_SPEED = 0.15
 
 
-def accumulated(total, errors: LocalErrors, dt, strain, rod: Rod, method: AbstractMethod):
+def accumulated(total, errors: LocalErrors, dt, axis: Axis, rod: Rod, method: AbstractMethod):
     """The estimate after a step of `dt`, in lengths, from the one before it, `total`.
 
-    `strain` (points, n): at the end of the step; `errors`: local ones of (strains, velocities).
+    `axis`: at the end of the step; `errors`: local ones of (strains, velocities).
     Of the estimates of one local error the smallest is taken: each is about as large as the
     error, or larger. Of those of place and speed the larger one is.
     """
-    clamp = rod.h_base if rod.plane is None else ORIGIN[1]
-    _, attitude = method.shape(full_strain(strain, rod), rod.grid, ORIGIN[0], clamp)
-    tangent = to_base(attitude, method.outputs(full_strain(strain, rod))[:, :3])
+    tangent, attitude = axis
     each = [error for error in (errors.lower, errors.difference) if error is not None]
     moved = _least(largest_displacement(x[0], tangent, attitude, rod, method) for x in each)
     if rod.constraint is not None:

@@ -259,7 +259,7 @@ def checked(
     broken=sr.RESULTS.diverged,
     fixed_steps=False,
     substeps=500,
-    touches=False,
+    missed=None,
 ):
     """What `run_checked` makes of motions whose k-th has these numbers, and the care of each."""
     (scene, motion), taken = hanging, []
@@ -269,13 +269,14 @@ def checked(
         taken.append((care, method))
         same = jnp.ones(3)
         stats = {"time_error": time_error(k) * same, "error": along(k) * same}
+        if missed is not None:
+            stats["touch_error"] = missed[k] * same
         code = sr.RESULTS.inaccurate if time_error(k) > limit else sr.RESULTS.successful
         code = broken if breaks(k) else code
         return dataclasses.replace(
             motion,
             tip_positions=motion.tip_positions.at[1:, 0].set(tip(k) * scene.length),
             result=jnp.array(code, jnp.int32),
-            contact_forces={"wall": jnp.ones((4, 3))} if touches else {},
             stats=motion.stats | stats | {"substeps": jnp.full(3, substeps * 2**k)},
         )
 
@@ -293,9 +294,18 @@ def test_motions_that_never_agree_are_as_wrong_as_the_best_of_them_says(hanging)
     np.testing.assert_allclose(motion.stats["time_error"], 0.5)
 
 
-@pytest.mark.parametrize("tips, grids", [((0.0, 1e-3), 2), ((0.0, 0.05, 0.051), 3)])
-def test_a_motion_that_touches_is_that_of_two_grids(hanging, tips, grids):
-    motion, taken = checked(hanging, lambda k: tips[k], lambda k: 1e-3, touches=True)
+@pytest.mark.parametrize(
+    "tips, missed, grids",
+    [
+        ((0.0,), (1e-3,), 1),
+        ((0.0, 8e-3), (4e-3, 2e-3), 2),  # the finer one is good
+        ((0.0, 1e-3), (9e-3, 8e-3), 2),  # both are, better than they say
+        ((0.0, 1e-3, 1e-3), (0.3, 0.1, 8e-3), 3),
+        ((0.0, 0.05, 0.051), (4e-3, 1e-3, 1e-3), 3),  # the first was worse than it said
+    ],
+)
+def test_a_motion_that_touches_is_on_a_grid_that_sees_it(hanging, tips, missed, grids):
+    motion, taken = checked(hanging, lambda k: tips[k], lambda k: 1e-3, missed=missed)
     assert [method.intervals for _, method in taken] == [6, 12, 24][:grids]
     assert motion.result == sr.RESULTS.successful
     assert motion.stats["intervals"] == taken[-1][1].intervals
@@ -306,7 +316,7 @@ def test_a_motion_that_touches_is_that_of_two_grids(hanging, tips, grids):
 def test_a_touch_on_which_no_two_grids_agree_is_inaccurate(hanging, broken):
     """They differ on all of them, or there is no other."""
     motion, taken = checked(
-        hanging, lambda k: 0.05 * k, lambda k: 1e-3, touches=True, breaks=lambda k: k >= broken
+        hanging, lambda k: 0.05 * k, lambda k: 1e-3, missed=[0.02] * 5, breaks=lambda k: k >= broken
     )
     grids = [6, 12, 24, 48, 96][: broken + 1]
     assert [method.intervals for _, method in taken] == grids
