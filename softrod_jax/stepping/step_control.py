@@ -107,6 +107,7 @@ def _with_more_care(
     rough = _GRID_SHARE * tolerance if rough is None else rough
     last, excess, error, grows = first, 1.0, None, False
     good, good_method = (last if _solved(last) else None), method
+    trust = 1.0 if fixed_grid else _DOUBTFUL
     for attempt in itertools.count(1):
         if attempt > 1 and (_is_last(care, tolerance) or _is_enough(attempt, tries, last)):
             break
@@ -139,7 +140,7 @@ def _with_more_care(
                     break
                 last, method, excess = finer, method.finer(), 1.0
             # A front is rough on any grid, and then only another grid can tell.
-            elif agrees and (not same_grid or _is_smooth(last, method)):
+            elif agrees and (not same_grid or _is_smooth(last, method, trust)):
                 return last, error, method, True
         good, good_method = (last if _solved(last) else good), method
     return last, error, method, False
@@ -193,6 +194,8 @@ def run_checked(
         _LOG.info("the motion breaks off at step %d: more care is tried", int(motion.failed_step))
         care = careful()
         return _rescued(motion, method, more(unjudged(care, method), care, _RESCUES), limit)
+    if not fixed_grid:
+        motion = _unless_too_rough(motion, method)
     if not (estimate > _DOUBTFUL * limit and moving and _is_smooth(motion, method)):
         return _with(motion, None, method)
     if estimate <= limit:
@@ -325,6 +328,18 @@ def _smoother(run: Callable, motion, method: AbstractMethod):
     return motion, method
 
 
+def _unless_too_rough(motion, method: AbstractMethod):
+    """The motion, `inaccurate` where no finer grid is left to tell, and its own may be too coarse.
+
+    On coarser ones, what a finer grid hardly changes is a front, and the tip is right.
+    """
+    rough = _stat(motion, "error") > _DOUBTFUL * method.max_error
+    if 2 * method.intervals <= _MOST_INTERVALS or not (_solved(motion) and np.any(rough)):
+        return motion
+    code, step = jnp.asarray(np.int32(RESULTS.inaccurate)), _count(int(np.argmax(rough)))
+    return eqx.tree_at(lambda t: (t.result, t.failed_step), motion, (code, step))
+
+
 def _missed(motion) -> float:
     """What the grid misses of pushes moves the tip by so many lengths, as estimated."""
     return float(_stat(motion, "touch_error")[-1]) if "touch_error" in motion.stats else 0.0
@@ -434,8 +449,9 @@ def _needs_finer_grid(motion, method: AbstractMethod, rough: float) -> bool:
     return bool(too_rough) or int(motion.result) in _CURABLE
 
 
-def _is_smooth(motion, method: AbstractMethod) -> bool:
-    return not max(np.max(_stat(motion, "error")), _missed(motion)) > method.max_error
+def _is_smooth(motion, method: AbstractMethod, trust: float = 1.0) -> bool:
+    """Whether its estimated errors from the grid are within this part of the limit."""
+    return not max(np.max(_stat(motion, "error")), _missed(motion)) > trust * method.max_error
 
 
 def _with(motion, error, method, **more):

@@ -18,7 +18,7 @@ from softrod_jax.rod.state import Layout
 from softrod_jax.scene.planes import quaternion_in
 from softrod_jax.stepping.first_mode import Swing, first_swing
 
-# On 89 motions of `benchmarks/contact_stress.py` that touch, on 12 and 24 intervals against 48, the
+# On 88 motions of `benchmarks/contact_stress.py` that touch, on 12 and 24 intervals against 48, the
 # estimate without this factor was 0.33 to 42 times an error above 5e-5, in the median 4.
 _CAUTION = 1.5
 

@@ -312,6 +312,16 @@ def test_a_motion_that_touches_is_on_a_grid_that_sees_it(hanging, tips, missed, 
     np.testing.assert_allclose(motion.tip_positions[-1, 0], 0.1 * tips[-1])
 
 
+@pytest.mark.parametrize(
+    "left, code", [(3e-3, sr.RESULTS.successful), (5e-3, sr.RESULTS.inaccurate)]
+)
+def test_what_is_rough_on_the_finest_grid_may_be_wrong(hanging, left, code):
+    """Estimates along the rod fall with each grid, and still say 0.3 and 0.5 % on the last one."""
+    motion, taken = checked(hanging, lambda k: 0.0, lambda k: 1e-3, lambda k: left * 5 ** (4 - k))
+    assert taken[-1][1].intervals == 96
+    assert motion.result == code
+
+
 @pytest.mark.parametrize("broken", [5, 1])
 def test_a_touch_on_which_no_two_grids_agree_is_inaccurate(hanging, broken):
     """They differ on all of them, or there is no other."""
